@@ -1,0 +1,3 @@
+"""Digital twin of a flexible machining cell."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,211 @@
+"""Every word that plant and stack share: readings going up, commands going down.
+
+All are frozen dataclasses. `stamp` is the time of exposure or sampling in seconds of the run's
+clock; a reading arrives later than its stamp, by the sensor's latency. Units are SI. Wheels stand
+in the order front-left, front-right, rear-left, rear-right. Arms are numbered 0 (front) and 1 (rear).
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+PartClass = Literal["sma_f_n_m", "sma_m_n_m", "tnc_m_sma_f", "n_tee_m_mm", "n_tee_fff"]
+PART_CLASSES: tuple[PartClass, ...] = (
+    "sma_f_n_m",  # SMA female to N male
+    "sma_m_n_m",  # SMA male to N male
+    "tnc_m_sma_f",  # TNC male to SMA female
+    "n_tee_m_mm",  # N tee, male with two males
+    "n_tee_fff",  # N tee, three females
+)
+
+
+# --- readings -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EncoderCounts:
+    """Hardware quadrature counters of the four wheels, four counts a line, wrapping at 16 bit."""
+
+    stamp: float
+    ticks: NDArray[np.uint16]  # (4,)
+
+
+@dataclass(frozen=True)
+class WheelState:
+    """What the control unit tells the stack: unwrapped counts, wheel speed, body velocity."""
+
+    stamp: float
+    ticks: NDArray[np.int64]  # (4,) counts since the unit was switched on
+    wheel_speed: Float  # (4,) rad/s
+    body_velocity: Float  # (3,) vx, vy, omega in base, from the counts
+
+
+@dataclass(frozen=True)
+class ImuReading:
+    """Specific force and rate of turn in the base frame's axes."""
+
+    stamp: float
+    accel: Float  # (3,) m/s^2, gravity included
+    gyro: Float  # (3,) rad/s
+
+
+@dataclass(frozen=True)
+class LidarScan:
+    """One turn of the 2D lidar. A beam without a return reads inf."""
+
+    stamp: float
+    angle_min: float
+    angle_increment: float
+    ranges: Float  # (n,) m
+    range_max: float
+
+
+@dataclass(frozen=True)
+class RgbdFrame:
+    """Front depth camera: colour and depth along the optical axis, registered; 0 = no return."""
+
+    stamp: float
+    rgb: NDArray[np.uint8]  # (h, w, 3)
+    depth_mm: NDArray[np.uint16]  # (h, w)
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """Industrial camera on the mast."""
+
+    stamp: float
+    image: NDArray[np.uint8]  # (h, w, 3) RGB
+
+
+@dataclass(frozen=True)
+class ArmReading:
+    """Joint encoders of one arm."""
+
+    stamp: float
+    arm: int
+    position: Float  # (6,) rad
+    velocity: Float  # (6,) rad/s
+
+
+@dataclass(frozen=True)
+class GripperReading:
+    """Opening between the pads and the closing force measured in the drive."""
+
+    stamp: float
+    arm: int
+    width: float  # m
+    force: float  # N, each finger
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is wanted: number of parts of each class."""
+
+    stamp: float
+    items: tuple[tuple[PartClass, int], ...]
+
+
+Reading = (
+    WheelState
+    | ImuReading
+    | LidarScan
+    | RgbdFrame
+    | CameraFrame
+    | ArmReading
+    | GripperReading
+    | Order
+)
+
+
+# --- commands -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BodyVelocity:
+    """Velocity of the base in base axes; to the control unit."""
+
+    vx: float = 0.0
+    vy: float = 0.0
+    omega: float = 0.0
+
+    def as_array(self) -> Float:
+        return np.array([self.vx, self.vy, self.omega])
+
+
+@dataclass(frozen=True)
+class ArmCommand:
+    """Set-points of one arm's joint drives; the drive adds the torque to its own PD law."""
+
+    arm: int
+    position: Float  # (6,) rad
+    velocity: Float  # (6,) rad/s
+    torque: Float  # (6,) N m, feed-forward
+
+
+@dataclass(frozen=True)
+class GripperCommand:
+    """Wanted opening between the pads, and the force at which the fingers give way."""
+
+    arm: int
+    width: float  # m
+    force: float  # N
+
+
+@dataclass(frozen=True)
+class Commands:
+    """All that the stack says in one tick of 10 ms. A device that is not named keeps its last."""
+
+    body_velocity: BodyVelocity = BodyVelocity()
+    arms: tuple[ArmCommand, ...] = ()
+    grippers: tuple[GripperCommand, ...] = ()
+
+
+# --- what the stack believes, for recording and evaluation only ----------------------------------
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One part seen in one camera frame."""
+
+    part_class: PartClass
+    confidence: float
+    p_base: Float  # (3,) centroid of the part, base frame at exposure
+    yaw: float  # of the part's axis in base, rad
+    contour_px: Float  # (k, 2) u, v
+    centroid_px: Float  # (2,)
+    symmetric: bool  # axis known only up to half a turn
+
+
+@dataclass(frozen=True)
+class TrackedPart:
+    """A part followed over frames, in the odometry frame of the fused estimate."""
+
+    track_id: int
+    part_class: PartClass
+    confidence: float
+    p_odom: Float  # (3,)
+    velocity_in_odom: Float  # (3,)
+    yaw: float  # in odom, rad
+    hits: int
+
+
+@dataclass(frozen=True)
+class StackState:
+    """Snapshot of the stack's opinion after a tick. Nothing reads it back into the loop."""
+
+    stamp: float
+    pose: Float  # (3,) fused x, y, yaw in world
+    pose_covariance: Float  # (3, 3)
+    odometry_pose: Float  # (3,) wheels alone
+    velocity: Float  # (3,) in base
+    task: str  # name of the running behaviour
+    tracks: tuple[TrackedPart, ...] = ()
+    detections: tuple[Detection, ...] = ()
+    detections_stamp: float = -1.0
+    events: tuple[str, ...] = ()  # one line each, new in this tick
+    distance_to_pick: float = float("nan")  # S, m
+    goals: dict[str, float] = field(default_factory=dict)  # scalars worth plotting

@@ -1,0 +1,157 @@
+"""The stack's belief of vehicle and site: the nominal drawing, passed in, never module constants.
+
+Every number here is the drawing's; the vehicle as built deviates, and the stack does not know how.
+Base frame: origin on the floor under the vehicle's centre, x forward, y left, z up.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from twin.geometry import Array, look_at, rot_z, transform
+from twin.layout import Options, Site, models_dir
+from twin.messages import PartClass
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Mecanum base. `half_base + half_track` is the lever of the turning rate."""
+
+    radius: float = 0.0760  # effective rolling radius, m
+    half_base: float = 0.230  # axle to centre along x, m
+    half_track: float = 0.200  # wheel centre to centre along y, m
+    gear_ratio: float = 20.0
+    counts_per_turn: int = 4 * 500  # quadrature counts a motor turn: 500 lines
+    max_wheel_speed: float = 15.7  # rad/s: motor 3000 rpm over the gear
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    speed: float = 0.95  # m/s
+    strafe_speed: float = 0.5  # m/s
+    turn_rate: float = 1.2  # rad/s
+    acceleration: float = 0.8  # m/s^2
+    turn_acceleration: float = 2.0  # rad/s^2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera without distortion; `T_base_camera` in the optical frame."""
+
+    width: int
+    height: int
+    fovy_deg: float
+    T_base_camera: Array
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels, the same along u and v."""
+        return 0.5 * self.height / float(np.tan(np.radians(self.fovy_deg) / 2))
+
+    @property
+    def matrix(self) -> Array:
+        """Intrinsic matrix, principal point at the image centre. Shape (3, 3)."""
+        f = self.focal
+        return np.array([[f, 0, self.width / 2 - 0.5], [0, f, self.height / 2 - 0.5], [0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Six joints, spherical wrist. Lengths of the drawing and the drives' limits."""
+
+    shoulder_height: float = 0.140  # mount to shoulder axis
+    upper_arm: float = 0.300
+    forearm: float = 0.300  # elbow to wrist centre
+    flange: float = 0.070  # wrist centre to flange
+    tool: float = 0.130  # flange to the point between the fingertips (TCP)
+    max_speed: tuple[float, ...] = (3.14,) * 6  # rad/s
+    max_acceleration: tuple[float, ...] = (12.0, 12.0, 14.0, 20.0, 20.0, 24.0)  # rad/s^2
+    max_jerk: tuple[float, ...] = (200.0, 200.0, 240.0, 400.0, 400.0, 400.0)  # rad/s^3
+    max_torque: tuple[float, ...] = (50.0, 50.0, 32.0, 32.0, 32.0, 20.0)  # N m
+    lower: tuple[float, ...] = (-2.9, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
+    upper: tuple[float, ...] = (2.9, 1.9, 2.75, 3.1, 2.1, 6.2)
+
+
+@dataclass(frozen=True)
+class Gripper:
+    stroke: float = 0.050  # m between the pads
+    speed: float = 0.150  # m/s, of the opening
+    force: float = 20.0  # N used for grips
+
+
+@dataclass(frozen=True)
+class Tray:
+    """Slots on the deck in base coordinates; row-major, x of the columns and y of the rows."""
+
+    columns: tuple[float, ...] = (0.06, 0.00, -0.06, -0.12)
+    rows: tuple[float, ...] = (-0.18, -0.12, -0.06, 0.00, 0.06, 0.12, 0.18)
+    floor: float = 0.556  # z of the slots' floor, m
+    wall: float = 0.006  # height of the walls between slots, m
+    pitch: float = 0.060
+
+    def slots(self) -> Array:
+        """Centres of the slots' floors. Shape (28, 3)."""
+        return np.array([(x, y, self.floor) for x in self.columns for y in self.rows])
+
+
+@dataclass(frozen=True)
+class PartDrawing:
+    """What the drawing says of one connector class, lying on the belt in its resting pose.
+
+    The part frame: x along the part's axis (towards the N side; for a tee along its through bore),
+    z up, origin at the centroid of the outline seen from above, on the belt.
+    """
+
+    length: float  # of the outline along x, m
+    width: float  # of the outline along y, m
+    height: float  # above the belt, m
+    grasp_x: float  # grasp point in the part frame, m
+    grasp_y: float
+    grasp_z: float  # height of the TCP above the belt, m
+    grip_width: float  # between the pads when closed, m
+    grip_yaw: float  # closing direction in the part frame, rad
+    symmetric: bool  # looks the same turned by half a turn
+    mass: float  # kg
+
+
+@dataclass(frozen=True)
+class StackConfig:
+    """Everything the stack believes before its first reading."""
+
+    site: Site
+    options: Options
+    wheels: Wheels = Wheels()
+    drive: DriveLimits = DriveLimits()
+    arm: Arm = Arm()
+    gripper: Gripper = Gripper()
+    tray: Tray = Tray()
+    arm_model: Path = field(default_factory=lambda: models_dir() / "arm" / "arm.xml")
+    T_base_arm: tuple[Array, ...] = field(default_factory=lambda: arm_mounts())
+    T_base_lidar: Array = field(default_factory=lambda: transform(np.eye(3), (0.335, 0.0, 0.18)))
+    camera: Camera = field(
+        default_factory=lambda: Camera(
+            640, 480, 60.0, look_at((0.335, 0.235, 0.97), (0.52, 0.44, 0.70))
+        )
+    )
+    rgbd: Camera = field(
+        default_factory=lambda: Camera(
+            424, 240, 58.0, look_at((0.335, 0.0, 0.62), (1.335, 0.0, 0.62))
+        )
+    )
+    parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
+    odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock
+    midplane: float = -0.030  # x in base that no arm crosses while both work, m
+
+
+def arm_mounts() -> tuple[Array, ...]:
+    """`T_base_arm` of front and rear arm: upright on the deck, facing the belt (left)."""
+    yaw = rot_z(np.pi / 2)
+    return (transform(yaw, (0.21, 0.03, 0.55)), transform(yaw, (-0.27, 0.03, 0.55)))
+
+
+def nominal_config(site: Site, options: Options) -> StackConfig:
+    """The nominal drawing, with the part catalogue."""
+    from twin.stack.detection.catalogue import CATALOGUE
+
+    return StackConfig(site=site, options=options, parts=CATALOGUE)
