@@ -1,0 +1,57 @@
+"""The machine as built: deviations from the drawing, drawn by seed from tolerances.
+
+The stack never sees these. Mount tolerances are what is left after the maker's own calibration
+(README, "As built", names the sources).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.geometry import Array, rot_x, rot_y, rot_z, transform
+
+WHEEL_RADIUS = 0.00008  # m, 1 sigma: ground rollers, 0.1 mm class
+HALF_TRACK = 0.0005  # m, 1 sigma: welded frame
+CAMERA_POSITION, CAMERA_ANGLE = 0.0003, 0.0005  # m, rad: after hand-eye calibration
+CAMERA_FOCAL = 0.0005  # relative: after intrinsic calibration
+MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
+ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
+
+
+@dataclass(frozen=True)
+class AsBuilt:
+    """One vehicle off the line. `*_mount` maps the true sensor frame to its drawn frame."""
+
+    wheel_radius: Array  # (4,) m, added to the drawing
+    half_track: float  # m, added
+    camera_mount: Array  # (4, 4)
+    camera_focal: float  # factor
+    rgbd_mount: Array  # (4, 4)
+    lidar_mount: Array  # (4, 4)
+    arm_joint_zero: Array  # (2, 6) rad: encoder reads true angle plus this
+    dock: Array  # (3,) x, y, yaw added to the drawn dock pose
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, tolerances) -> "AsBuilt":
+        """Draw one vehicle. `tolerances` is the layout's `world.tolerances`."""
+        k = tolerances.scale
+
+        def mount(position: float, angle: float) -> Array:
+            a, p = rng.normal(0, k * angle, 3), rng.normal(0, k * position, 3)
+            return transform(rot_z(a[2]) @ rot_y(a[1]) @ rot_x(a[0]), p)
+
+        return cls(
+            wheel_radius=rng.normal(0, k * WHEEL_RADIUS, 4),
+            half_track=float(rng.normal(0, k * HALF_TRACK)),
+            camera_mount=mount(CAMERA_POSITION, CAMERA_ANGLE),
+            camera_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
+            rgbd_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
+            lidar_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
+            arm_joint_zero=rng.normal(0, k * ARM_JOINT_ZERO, (2, 6)),
+            dock=np.array(
+                [
+                    *rng.uniform(-tolerances.dock_xy, tolerances.dock_xy, 2),
+                    np.radians(rng.uniform(-tolerances.dock_yaw_deg, tolerances.dock_yaw_deg)),
+                ]
+            ),
+        )
