@@ -33,6 +33,26 @@ class DriveLimits:
     turn_rate: float = 1.2  # rad/s
     acceleration: float = 0.8  # m/s^2
     turn_acceleration: float = 2.0  # rad/s^2
+    jerk: float = 4.0  # m/s^3: full acceleration within 0.2 s; guess
+    turn_jerk: float = 10.0  # rad/s^3: likewise
+
+
+@dataclass(frozen=True)
+class Imu:
+    """MEMS unit of the ADIS16470 class (Analog Devices, data sheet rev. C, front page and Table 1).
+
+    It delivers mean specific force and mean rate since its last sample (delta velocity and delta
+    angle over time). Densities are one-sided: a mean over T has variance density^2 / (2 T).
+    """
+
+    gyro_noise: float = 1.4e-4  # rad/s/sqrt(Hz): 0.008 deg/s/sqrt(Hz)
+    gyro_bias_start: float = 3.5e-3  # rad/s, 1 sigma from switch-on to switch-on: 0.2 deg/s
+    gyro_bias_stability: float = 3.9e-5  # rad/s: 8 deg/h in run
+    gyro_scale: float = 1.0e-3  # relative, 1 sigma after factory calibration: guess
+    accel_noise: float = 9.8e-4  # m/s^2/sqrt(Hz): 100 micro-g/sqrt(Hz)
+    accel_bias_start: float = 0.034  # m/s^2, 1 sigma: 3.5 mg
+    accel_bias_stability: float = 1.3e-4  # m/s^2: 13 micro-g in run
+    bias_time: float = 100.0  # s, correlation time of the in-run bias: guess
 
 
 @dataclass(frozen=True)
@@ -58,19 +78,22 @@ class Camera:
 
 @dataclass(frozen=True)
 class Arm:
-    """Six joints, spherical wrist. Lengths of the drawing and the drives' limits."""
+    """Six joints, spherical wrist. Lengths of the drawing and the drives' limits.
 
-    shoulder_height: float = 0.140  # mount to shoulder axis
-    upper_arm: float = 0.300
-    forearm: float = 0.300  # elbow to wrist centre
+    Source of the limits: models/arm/README.md.
+    """
+
+    shoulder_height: float = 0.160  # mount to shoulder axis
+    upper_arm: float = 0.320
+    forearm: float = 0.320  # elbow to wrist centre
     flange: float = 0.070  # wrist centre to flange
     tool: float = 0.130  # flange to the point between the fingertips (TCP)
     max_speed: tuple[float, ...] = (3.14,) * 6  # rad/s
-    max_acceleration: tuple[float, ...] = (12.0, 12.0, 14.0, 20.0, 20.0, 24.0)  # rad/s^2
-    max_jerk: tuple[float, ...] = (200.0, 200.0, 240.0, 400.0, 400.0, 400.0)  # rad/s^3
+    max_acceleration: tuple[float, ...] = (16.0, 16.0, 18.0, 20.0, 20.0, 20.0)  # rad/s^2
+    max_jerk: tuple[float, ...] = (400.0, 400.0, 450.0, 500.0, 500.0, 500.0)  # rad/s^3
     max_torque: tuple[float, ...] = (50.0, 50.0, 32.0, 32.0, 32.0, 20.0)  # N m
-    lower: tuple[float, ...] = (-2.9, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
-    upper: tuple[float, ...] = (2.9, 1.9, 2.75, 3.1, 2.1, 6.2)
+    lower: tuple[float, ...] = (-2.95, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
+    upper: tuple[float, ...] = (2.95, 1.9, 2.75, 3.1, 2.1, 6.2)
 
 
 @dataclass(frozen=True)
@@ -123,6 +146,7 @@ class StackConfig:
     options: Options
     wheels: Wheels = Wheels()
     drive: DriveLimits = DriveLimits()
+    imu: Imu = Imu()
     arm: Arm = Arm()
     gripper: Gripper = Gripper()
     tray: Tray = Tray()
