@@ -167,7 +167,20 @@ def load_layout(path: Path | None = None, overrides: tuple[str, ...] = ()) -> La
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "layout"
-        raise LayoutError(f"{path.name}: {where}: {first['msg']}") from None
+        source = f"{path.name} with --set" if overrides else path.name
+        raise LayoutError(f"{source}: {where}: {_explain(first)}") from None
+
+
+def _explain(error: Any) -> str:
+    """What pydantic found wrong, with the valid keys or the value that was given."""
+    if error["type"] == "extra_forbidden":
+        model: Any = Layout
+        for part in error["loc"][:-1]:
+            model = model.model_fields[part].annotation
+        return f"unknown key; choose from {', '.join(model.model_fields)}"
+    message = error["msg"].removeprefix("Value error, ")
+    given = error["input"]
+    return f"{message}, not {given!r}" if isinstance(given, int | float | str) else message
 
 
 def _set(tree: dict[str, Any], override: str) -> None:

@@ -1,0 +1,1 @@
+"""Scenarios without a plant, for the tests of the command line."""

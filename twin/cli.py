@@ -1,0 +1,254 @@
+"""The `twin` command: `twin list` and `twin run NAME`.
+
+Exit codes: 0 the run met its criteria, 1 it fell short or was cut short, 2 bad input.
+"""
+
+import ast
+import contextlib
+import importlib
+import importlib.util
+import io
+import math
+import os
+import pkgutil
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from evaluation.report import build_report, report_table, verdict, write_report
+from evaluation.run import RunRequest, RunResult
+from evaluation.run_folder import FolderError, RunFolder
+from twin.layout import Layout, LayoutError, load_layout
+from twin.recording.tum import write_tum
+
+
+class InputError(ValueError):
+    """Something asked for that cannot be done. The message is one line."""
+
+
+@dataclass(frozen=True)
+class List:
+    """List the scenarios."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Run a scenario; report, trajectories and recording go to one folder."""
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    """Scenario; `twin list` names them."""
+    seed: int = 0
+    """Of the run's random generator: same seed, same run."""
+    duration: float | None = None
+    """Cut the run short after so many simulated seconds."""
+    out: Path | None = None
+    """Folder of the run's files. Default: runs/NAME-seedN."""
+    record: bool = False
+    """Write recording.rrd, for `rerun`, and readings.log, for replay."""
+    viewer: bool = False
+    """Open MuJoCo's viewer; needs a display."""
+    layout: Path | None = None
+    """Layout file in place of the default cell."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Layout value as key=value: a dotted path or a short name such as belt_speed."""
+
+
+Command = (
+    Annotated[List, tyro.conf.subcommand("list")] | Annotated[Run, tyro.conf.subcommand("run")]
+)
+
+
+def main(argv: Sequence[str] | None = None, package: str = "scenarios") -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        argv: arguments, without the program's name; the process's own without any.
+        package: package whose modules are the scenarios.
+    """
+    # A shell that starts us in the background has interrupts ignored; take them back.
+    _on_interrupt(signal.default_int_handler)
+    try:
+        command = _parse(sys.argv[1:] if argv is None else argv)
+        if isinstance(command, List):
+            _list(package)
+            return 0
+        return _run(command, package)
+    except (InputError, LayoutError, FolderError) as error:
+        print(f"twin: {_one_line(error)}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"twin: {_one_line(error)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("twin: interrupted", file=sys.stderr)
+        return 1
+    except SystemExit as leave:  # --help
+        return int(leave.code or 0)
+
+
+def scenario_files(package: str) -> dict[str, Path]:
+    """Scenarios of a package: name to source file. A leading underscore hides a module."""
+    spec = importlib.util.find_spec(package)
+    places = (spec.submodule_search_locations if spec else None) or []
+    found = {m.name for m in pkgutil.iter_modules(places) if not m.name.startswith("_")}
+    return {n: p / f"{n}.py" for n in sorted(found) for p in map(Path, places)}
+
+
+def description(source: Path) -> str:
+    """First line of a module's docstring, read without importing it."""
+    docstring = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8")))
+    return (docstring or "").partition("\n")[0]
+
+
+def _list(package: str) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, source in scenario_files(package).items():
+        table.add_row(name, escape(description(source)))
+    Console().print(table)
+
+
+def _run(asked: Run, package: str) -> int:
+    known = scenario_files(package)
+    if asked.name not in known:
+        raise InputError(f"no scenario '{asked.name}'; choose from {', '.join(known)}")
+    _check(asked)
+    layout = load_layout(asked.layout, asked.set)
+    folder = RunFolder(asked.out or Path("runs") / f"{asked.name}-seed{asked.seed}")
+    try:
+        with _progress() as progress:
+            request = RunRequest(
+                seed=asked.seed,
+                out=folder.working,
+                duration=asked.duration,
+                record=asked.record,
+                viewer=asked.viewer,
+                progress=progress,
+            )
+            result = _result(f"{package}.{asked.name}", request, layout)
+        # From here on only files are written: too short to be interrupted, too dear to be lost.
+        _on_interrupt(signal.SIG_IGN)
+        report = build_report(asked.name, request, layout, result)
+        for name, (stamps, poses) in result.trajectories.items():
+            write_tum(folder.working / f"{name}.tum", stamps, poses)
+        write_report(folder.working / "report.json", report)
+        files = folder.publish()
+    except BaseException:
+        folder.discard()
+        raise
+    console = Console()
+    console.print(report_table(report))
+    for note in result.notes:
+        console.print(escape(note))
+    console.print(escape(verdict(report)))
+    console.print(escape(f"files in {folder.target}: {', '.join(files)}"), soft_wrap=True)
+    return 0 if report["passed"] else 1
+
+
+def _result(module: str, request: RunRequest, layout: Layout) -> RunResult:
+    """Run a scenario; whatever breaks it off, there is something to report.
+
+    A scenario that is interrupted in its loop returns what it has measured so far. Here only what
+    it could not handle itself ends up: an interrupt while it builds, or a failure.
+    """
+    try:
+        return importlib.import_module(module).run(request, layout)
+    except KeyboardInterrupt:
+        return RunResult(notes=["interrupted before anything was measured"])
+    except (LayoutError, InputError):
+        raise
+    except Exception as error:
+        (request.out / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        what = f"{type(error).__name__}: {_one_line(error)}"
+        return RunResult(notes=[f"the run failed: {what} (error.txt says where)"])
+
+
+def _check(asked: Run) -> None:
+    if asked.seed < 0:
+        raise InputError(f"--seed {asked.seed}: must be 0 or greater")
+    if asked.duration is not None and not 0 < asked.duration < math.inf:
+        raise InputError(f"--duration {asked.duration}: must be a positive number of seconds")
+    displays = any(os.environ.get(v) for v in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if asked.viewer and sys.platform == "linux" and not displays:
+        raise InputError("--viewer: no display here (neither DISPLAY nor WAYLAND_DISPLAY is set)")
+
+
+def _parse(argv: Sequence[str]) -> List | Run:
+    """Parse arguments; tyro's boxed complaint becomes one line."""
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                Command,  # type: ignore[arg-type]
+                prog="twin",
+                description="Digital twin of a machining cell.",
+                args=_repeat_set(argv),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as leave:
+        if not leave.code:
+            raise
+        raise InputError(_unbox(complaint.getvalue(), argv)) from None
+
+
+def _unbox(box: str, argv: Sequence[str]) -> str:
+    """The first statement of tyro's boxed complaint, and the choices there are, on one line."""
+    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()[1:-1]]
+    end = next((i for i, line in enumerate(lines) if line.startswith("──")), len(lines))
+    said = " ".join(line for line in lines[:end] if line)
+    if argv and argv[0] == "run":
+        if said.startswith("Unrecognized"):
+            options = [f.name for f in fields(Run) if f.name != "name"]
+            said += f"; choose from --{', --'.join(options)}"
+        return f"{said}; see twin run --help"
+    return f"{said.rstrip('.')}; choose from list, run; see twin --help"
+
+
+def _repeat_set(argv: Sequence[str]) -> list[str]:
+    """`--set a=1 b=2` as `--set a=1 --set b=2`, which the parser understands."""
+    out: list[str] = []
+    for word in argv:
+        after_value = len(out) > 1 and out[-2] == "--set"
+        if after_value and "=" in word and not word.startswith("-"):
+            out.append("--set")
+        out.append(word)
+    return out
+
+
+@contextlib.contextmanager
+def _progress():
+    """Progress bar on the terminal; yields the callable of `RunRequest.progress`."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def progress(sim_time: float, total: float, text: str) -> None:
+            about = f"{sim_time:6.1f} s  {escape(text)}"
+            bar.update(task, completed=sim_time, total=max(total, sim_time), description=about)
+
+        yield progress
+
+
+def _on_interrupt(handler) -> None:
+    with contextlib.suppress(ValueError):  # raised outside the main thread
+        signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGTERM, handler)
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def script() -> None:
+    """Entry point of the installed command."""
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What a run leaves behind: readings and commands, trajectories, a recording for rerun."""
