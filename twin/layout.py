@@ -1,7 +1,8 @@
 """What stands where. A layout file has three parts: `site`, `world` and `options`.
 
 `Site` is the surveyed drawing: the stack may know it. `World` is everything else about the plant
-(belt speed, what is fed, tolerances): the stack never sees it. `Options` choose how the stack works.
+(belt speed, what is fed, tolerances): the stack never sees it. `Options` choose how the stack
+works.
 """
 
 import math
@@ -218,11 +219,12 @@ def _parse_order(text: str) -> dict[str, Any]:
     order: dict[str, Any] = {}
     for item in text.strip("{} ").split(","):
         name, _, count = item.replace("=", ":").partition(":")
-        if name.strip() not in PART_CLASSES:
+        name = name.strip()
+        if name not in PART_CLASSES:
             raise LayoutError(
-                f"--set order: unknown class '{name.strip()}'; choose from {', '.join(PART_CLASSES)}"
+                f"--set order: unknown class '{name}'; choose from {', '.join(PART_CLASSES)}"
             )
-        order[name.strip()] = _parse(count.strip())
+        order[name] = _parse(count.strip())
     return order
 
 

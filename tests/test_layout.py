@@ -1,0 +1,101 @@
+"""Layouts: the default cell, overrides, and what cannot be built."""
+
+import pytest
+
+from twin.layout import (
+    SHORT_NAMES,
+    LayoutError,
+    load_layout,
+    models_dir,
+    rectangle,
+    rectangles_overlap,
+)
+from twin.messages import PART_CLASSES
+
+
+def test_default_cell_is_the_one_of_the_issue():
+    layout = load_layout()
+    assert layout.world.line.speed == 0.15
+    assert sum(layout.world.order.values()) == 20
+    assert layout.options.arms == 2 and layout.options.grasp_timing
+    assert abs(layout.site.pick[0] - layout.site.dock[0]) >= 4.0
+
+
+def test_short_names_lead_somewhere():
+    for short in SHORT_NAMES:
+        value = {"order": "5", "grasp_timing": "off", "arms": "1"}.get(short, "0.2")
+        load_layout(None, (f"{short}={value}",))
+
+
+def test_later_overrides_win():
+    assert load_layout(None, ("belt_speed=0.1", "belt_speed=0.2")).world.line.speed == 0.2
+
+
+@pytest.mark.parametrize("total", [1, 7, 20, 28])
+def test_an_order_by_number_is_spread_evenly(total):
+    order = load_layout(None, (f"order={total}",)).world.order
+    assert sum(order.values()) == total
+    assert max(order.values()) - min(order.values()) <= 1
+
+
+def test_an_order_by_class():
+    order = load_layout(None, ("order=sma_f_n_m:3,n_tee_fff:2",)).world.order
+    assert order == {"sma_f_n_m": 3, "n_tee_fff": 2}
+
+
+def test_another_file(tmp_path):
+    text = (models_dir() / "cell" / "default.toml").read_text()
+    path = tmp_path / "fast.toml"
+    path.write_text(text.replace("speed = 0.15", "speed = 0.3"))
+    assert load_layout(path).world.line.speed == 0.3
+
+
+@pytest.mark.parametrize(
+    "override, said",
+    [
+        ("belt_speed=-0.1", "world.line.speed"),
+        ("belt_speed=nan", "nan"),
+        ("belt_speed=inf", "inf"),
+        ("belt_speed=quick", "quick"),
+        ("arms=3", "options.arms"),
+        ("order=0", "1 to 28"),
+        ("order=29", "1 to 28"),
+        ("order=bnc:1", ", ".join(PART_CLASSES)),
+        ("nonsense=1", ", ".join(SHORT_NAMES)),
+        ("world.line.sped=1", "choose from speed, friction"),
+        ("site.line.origin.x=1", "origin"),
+        ("belt_speed", "key=value"),
+        ("site.pick=[3.6, 3.2, 1.57]", "pick: the vehicle would stand in the belt"),
+        ("site.dock=[-0.9, 0.0, 0.0]", "dock: the vehicle would stand outside the hall"),
+        ("site.line.origin=[3.55, 5.6]", "outside the hall"),
+        ("site.hall.x=[5, 1]", "low to high"),
+        ("site.dock=[nan, 0.0, 0.0]", "finite"),
+    ],
+)
+def test_what_cannot_be_built_is_told_in_one_line(override, said):
+    with pytest.raises(LayoutError) as error:
+        load_layout(None, (override,))
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"[site", b"\xff\xfe", b"", b"site = 3"])
+def test_malformed_files_are_named(content, tmp_path):
+    path = tmp_path / "odd.toml"
+    path.write_bytes(content)
+    with pytest.raises(LayoutError, match=r"odd\.toml") as error:
+        load_layout(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("path", ["nowhere.toml", "."])
+def test_a_file_that_cannot_be_read_is_named(path, tmp_path):
+    with pytest.raises(LayoutError, match="cannot be read"):
+        load_layout(tmp_path / path)
+
+
+def test_overlap_of_turned_rectangles():
+    """Expected: boxes whose upright bounds overlap may still be apart."""
+    first = rectangle(0, 0, 0.785398, 2.0, 0.1)
+    assert not rectangles_overlap(first, rectangle(0.5, -0.5, 0.785398, 2.0, 0.1))
+    assert rectangles_overlap(first, rectangle(0.5, 0.5, -0.785398, 2.0, 0.1))
