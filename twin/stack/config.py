@@ -152,7 +152,7 @@ class StackConfig:
     tray: Tray = Tray()
     arm_model: Path = field(default_factory=lambda: models_dir() / "arm" / "arm.xml")
     T_base_arm: tuple[Array, ...] = field(default_factory=lambda: arm_mounts())
-    T_base_lidar: Array = field(default_factory=lambda: transform(np.eye(3), (0.335, 0.0, 0.18)))
+    T_base_lidar: Array = field(default_factory=lambda: transform(np.eye(3), (0.300, 0.0, 0.18)))
     camera: Camera = field(
         default_factory=lambda: Camera(
             640, 480, 60.0, look_at((0.335, 0.235, 0.97), (0.52, 0.44, 0.70))

@@ -1,0 +1,183 @@
+"""Extended Kalman filter of planar motion from wheels and inertial unit.
+
+As in Li & An 2025, section 2.3, measured acceleration drives the prediction and the wheels correct
+it; here the measured rate drives the yaw too. What the wheels report differs from the motion of the
+vehicle by a slip that changes slowly and grows with speed: it is part of the state, so a wheel that
+lies by a constant per cent is not taken for white noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from twin.geometry import Array, rot2, wrap_angle
+from twin.stack.config import Imu
+
+POSITION = slice(0, 2)  # m, in world
+YAW = 2  # rad
+VELOCITY = slice(3, 5)  # m/s, of the base in base axes
+RATE = 5  # rad/s
+GYRO_BIAS = 6  # rad/s
+ACCEL_BIAS = slice(7, 9)  # m/s^2, in base axes
+SLIP = slice(9, 12)  # m/s, m/s, rad/s: what the wheels report minus the motion, in base axes
+SIZE = 12
+
+POSE = slice(0, 3)
+TWIST = slice(3, 6)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What the filter believes of the vehicle's motion and wheels."""
+
+    slip_floor: tuple[float, float, float] = (0.0005, 0.0005, 0.001)  # m/s, m/s, rad/s
+    slip_per_speed: tuple[float, float] = (0.01, 0.02)  # along x and y, of the planar speed
+    slip_turn: tuple[float, float] = (0.02, 0.01)  # of the turning rate; rad/m of planar speed
+    slip_lever: float = 0.005  # m/s of planar slip per rad/s of turning
+    slip_time: float = 2.0  # s, correlation time of the slip
+    wheel: tuple[float, float, float] = (0.004, 0.006, 0.015)  # m/s, m/s, rad/s: white
+    vibration: float = 0.01  # m/s^2/sqrt(Hz): tilt of the deck seen by the accelerometer
+    blind_accel: float = 1.0  # m/s^2/sqrt(Hz), while the inertial unit is silent
+    blind_turn: float = 3.0  # rad/s^2/sqrt(Hz), likewise
+    still: tuple[float, float, float] = (0.001, 0.001, 0.0002)  # m/s, m/s, rad/s
+
+
+GATE = 16.27  # squared Mahalanobis distance: chi-square, 3 degrees of freedom, 99.9 %
+
+
+class MotionEkf(ExtendedKalmanFilter):
+    """The filter proper: readings in order of time, no clock.
+
+    Args:
+        imu: data sheet of the inertial unit.
+        pose: x, y, yaw at the start.
+        sigma: standard deviation of that pose, m, m, rad.
+        noise: belief about motion and wheels.
+    """
+
+    def __init__(self, imu: Imu, pose: Array, sigma, noise: Noise | None = None):
+        super().__init__(dim_x=SIZE, dim_z=3)
+        self.imu, self.noise = imu, noise or Noise()
+        self.x = np.zeros(SIZE)
+        self.x[POSE] = pose
+        start = np.zeros(SIZE)
+        start[POSE] = sigma
+        start[TWIST] = 0.01, 0.01, 0.01  # it starts at rest; guess
+        start[GYRO_BIAS] = imu.gyro_bias_start
+        start[ACCEL_BIAS] = imu.accel_bias_start
+        start[SLIP] = self.noise.slip_floor
+        self.P = np.diag(start**2)
+        self.acceleration = np.zeros(2)  # of the velocity in base axes, m/s^2
+
+    def advance(self, dt: float, accel: Array | None, gyro: float | None) -> None:
+        """Predict over `dt` by mean specific force (2,) and rate; None while the unit is silent."""
+        x = self.x
+        blind = accel is None or gyro is None
+        rate = x[RATE] if blind else gyro - x[GYRO_BIAS]
+        vx, vy = x[VELOCITY]
+        spin = np.array([[0.0, rate], [-rate, 0.0]])  # the axes turn under the velocity
+        thrust = -spin @ x[VELOCITY] if blind else accel - x[ACCEL_BIAS]
+        self.acceleration = thrust + spin @ x[VELOCITY]
+        R = rot2(x[YAW] + 0.5 * rate * dt)
+        step = x[VELOCITY] * dt + 0.5 * self.acceleration * dt**2
+        swing = R @ np.array([-step[1], step[0]])  # change of the step per rad of yaw
+
+        turn = np.array([vy, -vx])  # change of acceleration per rad/s of rate
+        by_rate = np.zeros(SIZE)  # derivative of the new state by the rate
+        by_rate[POSITION] = 0.5 * dt * swing + 0.5 * dt**2 * (R @ turn)
+        by_rate[YAW] = dt
+        by_rate[VELOCITY] = dt * turn
+        by_rate[RATE] = 1.0
+        by_accel = np.zeros((SIZE, 2))
+        by_accel[POSITION] = 0.5 * dt**2 * R
+        by_accel[VELOCITY] = dt * np.eye(2)
+
+        F = np.eye(SIZE)
+        F[POSITION, YAW] = swing
+        F[POSITION, VELOCITY] = R @ (dt * np.eye(2) + 0.5 * dt**2 * spin)
+        F[VELOCITY, VELOCITY] += dt * spin
+        F[RATE, RATE] = 0.0
+        if blind:  # the rate is carried over, the body velocity too
+            by_rate[POSITION], by_rate[VELOCITY] = 0.5 * dt * swing, 0.0
+            F[POSITION, VELOCITY], F[VELOCITY, VELOCITY] = dt * R, np.eye(2)
+            F[:, RATE] = by_rate
+        else:
+            F[:, GYRO_BIAS] -= by_rate
+            F[:, ACCEL_BIAS] -= by_accel
+        keep = np.exp(-dt / self.noise.slip_time)
+        F[SLIP, SLIP] *= keep
+
+        self.F = F
+        self.Q = self._process_noise(dt, rate, by_rate, by_accel, blind)
+        x = x.copy()
+        x[POSITION] += R @ step
+        x[YAW] = wrap_angle(x[YAW] + rate * dt)
+        x[VELOCITY] += self.acceleration * dt
+        x[RATE] = rate
+        x[SLIP] *= keep
+        self._predicted = x
+        self.predict()
+
+    def predict_x(self, u=0) -> None:
+        self.x = self._predicted
+
+    def _process_noise(self, dt: float, rate: float, by_rate: Array, by_accel: Array, blind: bool):
+        n, imu = self.noise, self.imu
+        # A one-sided density d gives the mean over dt the variance d^2 / (2 dt).
+        gyro = n.blind_turn**2 * dt if blind else imu.gyro_noise**2 / (2 * dt)
+        accel = n.blind_accel if blind else float(np.hypot(imu.accel_noise, n.vibration))
+        Q = gyro * np.outer(by_rate, by_rate) + accel**2 / (2 * dt) * by_accel @ by_accel.T
+        # A scale error adds up over a turn; as white noise it does over a quarter turn.
+        Q[YAW, YAW] += imu.gyro_scale**2 * (np.pi / 2) * abs(rate) * dt
+        drift = 2 * dt / imu.bias_time
+        Q[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_stability**2 * drift
+        Q[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_stability**2 * drift * np.eye(2)
+        slip = self.slip_sigma()
+        Q[SLIP, SLIP] += np.diag(slip**2) * (1 - np.exp(-2 * dt / n.slip_time))
+        return Q
+
+    def slip_sigma(self) -> Array:
+        """Stationary standard deviation of the slip at the present speed. Shape (3,)."""
+        n = self.noise
+        speed, rate = float(np.hypot(*self.x[VELOCITY])), abs(self.x[RATE])
+        moving = np.array(
+            [
+                n.slip_per_speed[0] * speed + n.slip_lever * rate,
+                n.slip_per_speed[1] * speed + n.slip_lever * rate,
+                n.slip_turn[0] * rate + n.slip_turn[1] * speed,
+            ]
+        )
+        return np.hypot(n.slip_floor, moving)
+
+    def update_wheels(self, velocity: Array, interval: float) -> bool:
+        """Correct by the mean body velocity (3,) of the wheels over the interval that ends now.
+
+        Returns:
+            False if the reading lies outside the gate; the state is then unchanged.
+        """
+        H = np.zeros((3, SIZE))
+        H[:, TWIST] = H[:, SLIP] = np.eye(3)
+        # The mean over the interval lags behind the velocity at its end.
+        lag = 0.5 * interval * np.array([*self.acceleration, 0.0])
+        R = np.diag(np.square(self.noise.wheel))
+        return self._gated(velocity, H, lambda x: H @ x - lag, R)
+
+    def update_still(self) -> bool:
+        """Correct by the knowledge that the vehicle stands; this teaches the biases."""
+        H = np.zeros((3, SIZE))
+        H[:, TWIST] = np.eye(3)
+        R = np.diag(np.square(self.noise.still))
+        return self._gated(np.zeros(3), H, lambda x: H @ x, R)
+
+    def loosen_slip(self) -> None:
+        """Give up the belief in the wheels: they have been contradicted for too long."""
+        self.P[SLIP, SLIP] += np.diag([0.1, 0.1, 0.2]) ** 2
+
+    def _gated(self, z: Array, H: Array, h, R: Array) -> bool:
+        innovation = z - h(self.x)
+        if innovation @ np.linalg.solve(H @ self.P @ H.T + R, innovation) > GATE:
+            return False
+        self.update(z, lambda x: H, h, R)
+        self.x[YAW] = wrap_angle(self.x[YAW])
+        return True

@@ -1,0 +1,146 @@
+"""Feeds the filter: orders the readings, tells standing from driving, answers where we are now.
+
+Wheel counts arrive at once, the inertial unit later. The filter therefore lives at the newest time
+for which the inertial unit has spoken, and the pose of the present is carried on from there.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from twin.geometry import Array, compose2
+from twin.messages import ImuReading, WheelState
+from twin.stack.config import StackConfig
+from twin.stack.estimation.ekf import GYRO_BIAS, POSE, TWIST, MotionEkf, Noise
+from twin.stack.estimation.odometry import displacement, exp2
+from twin.stack.estimation.pose_history import PoseHistory
+
+SILENCE = 0.10  # s without the inertial unit after which the wheels go on alone
+STILL_TIME = 0.20  # s that all wheels must stand before the vehicle is said to stand
+STILL_COUNTS = 3  # counts that a standing wheel may wander
+MAX_ACCEL = 15.0  # m/s^2: beyond what tyres can do (1.5 g); such a reading is broken
+MAX_RATE = 10.0  # rad/s: ten times what the drive can do; likewise
+READY_SIGMA = 1.5e-4  # rad/s of gyro bias: 2 mrad of yaw over a drive of 15 s
+PATIENCE = 50  # wheel readings outside the gate in a row before slip is allowed for
+
+
+class FusedOdometry:
+    """Pose and velocity of the vehicle from wheels and inertial unit.
+
+    Args:
+        config: the nominal drawing; start covariance from `odometry_start_sigma`.
+        start: x, y, yaw believed at the start, in world.
+    """
+
+    def __init__(self, config: StackConfig, start: Array, noise: Noise | None = None):
+        self._wheels = config.wheels
+        self.ekf = MotionEkf(config.imu, start, config.odometry_start_sigma, noise)
+        self.history = PoseHistory()
+        self.stamp: float | None = None  # of the filter's state
+        self.ignored = 0  # readings that came too late or were broken
+        self.standing = False
+        self._outside = 0
+        self._wheel_queue: list[WheelState] = []
+        self._last_wheel: WheelState | None = None
+        self._still: deque[WheelState] = deque()
+
+    @property
+    def covariance(self) -> Array:
+        """Of x, y, yaw. Shape (3, 3)."""
+        return self.ekf.P[POSE, POSE].copy()
+
+    @property
+    def velocity(self) -> Array:
+        """vx, vy, omega in base. Shape (3,)."""
+        return self.ekf.x[TWIST].copy()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the gyro bias is known well enough to drive: stand for 1-2 s after switch-on."""
+        return bool(self.ekf.P[GYRO_BIAS, GYRO_BIAS] < READY_SIGMA**2)
+
+    def pose(self, now: float) -> Array:
+        """x, y, yaw in world, carried on from the filter's time to `now`. Shape (3,)."""
+        ahead = 0.0 if self.stamp is None else max(now - self.stamp, 0.0)
+        return compose2(self.ekf.x[POSE], exp2(self.ekf.x[TWIST] * ahead))
+
+    def step(self, readings: Iterable) -> None:
+        """Take the readings of a tick, in any order; other kinds than wheels and IMU are passed by.
+
+        Broken and late readings leave the state as it is and are counted in `ignored`.
+        """
+        imus = []
+        for reading in readings:
+            if isinstance(reading, WheelState) and self._usable(reading, reading.ticks):
+                self._wheel_queue.append(reading)
+            elif isinstance(reading, ImuReading) and self._plausible(reading):
+                imus.append(reading)
+        self._wheel_queue.sort(key=lambda r: r.stamp)
+        for imu in sorted(imus, key=lambda r: r.stamp):
+            accel, gyro = imu.accel[:2], float(imu.gyro[2])
+            while self._wheel_queue and self._wheel_queue[0].stamp <= imu.stamp:
+                wheel = self._wheel_queue.pop(0)
+                if self._advance(wheel.stamp, accel, gyro):
+                    self._correct(wheel)
+            self._advance(imu.stamp, accel, gyro)
+        while self._wheel_queue and self._is_silent(self._wheel_queue[-1].stamp):
+            wheel = self._wheel_queue.pop(0)
+            if self._advance(wheel.stamp, None, None):
+                self._correct(wheel)
+        if self.stamp is not None:
+            self.history.add(self.stamp, self.ekf.x[POSE])
+
+    def _usable(self, reading, *arrays: Array) -> bool:
+        good = np.isfinite(reading.stamp) and all(np.all(np.isfinite(a)) for a in arrays)
+        late = good and self.stamp is not None and reading.stamp < self.stamp
+        self.ignored += (not good) or late
+        return bool(good and not late)
+
+    def _plausible(self, reading: ImuReading) -> bool:
+        if not self._usable(reading, reading.accel, reading.gyro):
+            return False
+        wild = np.max(np.abs(reading.accel[:2])) > MAX_ACCEL or abs(reading.gyro[2]) > MAX_RATE
+        self.ignored += bool(wild)
+        return not wild
+
+    def _is_silent(self, newest: float) -> bool:
+        oldest = self._wheel_queue[0].stamp if self.stamp is None else self.stamp
+        return newest - oldest > SILENCE
+
+    def _advance(self, stamp: float, accel: Array | None, gyro: float | None) -> bool:
+        """Predict to `stamp`; False if the state is already newer."""
+        if self.stamp is None:
+            self.stamp = stamp
+        dt = stamp - self.stamp
+        if dt < 0:
+            self.ignored += 1
+            return False
+        if dt > 0:
+            self.ekf.advance(dt, accel, gyro)
+            self.stamp = stamp
+        return True
+
+    def _correct(self, wheel: WheelState) -> None:
+        last, self._last_wheel = self._last_wheel, wheel
+        if last is None or wheel.stamp <= last.stamp:
+            return
+        interval = wheel.stamp - last.stamp
+        mean = displacement(self._wheels, wheel.ticks - last.ticks) / interval
+        inside = self.ekf.update_wheels(mean, interval)
+        self._outside = 0 if inside else self._outside + 1
+        if self._outside >= PATIENCE:
+            self.ekf.loosen_slip()
+            self._outside = 0
+        self.standing = self._wheels_stand(wheel)
+        if self.standing:
+            self.ekf.update_still()
+
+    def _wheels_stand(self, wheel: WheelState) -> bool:
+        self._still.append(wheel)
+        while wheel.stamp - self._still[1 if len(self._still) > 1 else 0].stamp >= STILL_TIME:
+            self._still.popleft()
+        if wheel.stamp - self._still[0].stamp < STILL_TIME:
+            return False
+        ticks = np.array([w.ticks for w in self._still])
+        return bool(np.all(np.ptp(ticks, axis=0) <= STILL_COUNTS))

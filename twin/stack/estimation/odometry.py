@@ -1,0 +1,62 @@
+"""Dead reckoning from wheel counts alone, kept beside the fused estimate for comparison."""
+
+import numpy as np
+
+from twin.geometry import Array, compose2
+from twin.messages import WheelState
+from twin.stack.config import Wheels
+
+# Rows vx, vy, omega of the mecanum forward kinematics, over wheel rim speeds; the sum of the half
+# base and half track still divides the last row (Li & An 2025, section 4; Muir & Neuman 1987).
+MECANUM = 0.25 * np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
+
+
+def displacement(wheels: Wheels, ticks: Array) -> Array:
+    """Displacement of the base in its own axes for an increment of counts.
+
+    Args:
+        wheels: the drawing.
+        ticks: increments of the four wheels' counters, shape (4,).
+
+    Returns:
+        x, y in m and yaw in rad, as a twist times its duration. Shape (3,).
+    """
+    turn = 2 * np.pi / (wheels.gear_ratio * wheels.counts_per_turn)
+    forward, lateral, rim = MECANUM @ (wheels.radius * turn * np.asarray(ticks, dtype=float))
+    return np.array([forward, lateral, rim / (wheels.half_base + wheels.half_track)])
+
+
+def exp2(twist: Array) -> Array:
+    """Planar pose reached by a constant twist held for unit time: the exponential of SE(2).
+
+    Args:
+        twist: x, y in m and yaw in rad, in the axes of the start. Shape (3,).
+    """
+    x, y, yaw = twist
+    if abs(yaw) < 1e-9:
+        a, b = 1.0, 0.5 * yaw
+    else:
+        a, b = np.sin(yaw) / yaw, (1 - np.cos(yaw)) / yaw
+    return np.array([a * x - b * y, b * x + a * y, yaw])
+
+
+class WheelOdometry:
+    """Integrates wheel counts, exactly for a twist that is constant over the interval."""
+
+    def __init__(self, wheels: Wheels, start: Array):
+        self._wheels = wheels
+        self.pose = np.array(start, dtype=float)  # x, y, yaw in world
+        self._last: WheelState | None = None
+
+    def update(self, state: WheelState) -> Array:
+        """Pose after a reading; one that is not newer than the last is ignored. Shape (3,)."""
+        if not np.isfinite(state.stamp) or (
+            self._last is not None and state.stamp <= self._last.stamp
+        ):
+            return self.pose
+        if self._last is not None:
+            self.pose = compose2(
+                self.pose, exp2(displacement(self._wheels, state.ticks - self._last.ticks))
+            )
+        self._last = state
+        return self.pose
