@@ -35,6 +35,7 @@ class DriveLimits:
     turn_acceleration: float = 2.0  # rad/s^2
     jerk: float = 4.0  # m/s^3: full acceleration within 0.2 s; guess
     turn_jerk: float = 10.0  # rad/s^3: likewise
+    velocity_lag: float = 0.05  # s, from commanded to driven velocity; from a step response
 
 
 @dataclass(frozen=True)

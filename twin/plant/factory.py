@@ -1,0 +1,292 @@
+"""Composes the models into one world: hall, line, stations, vehicle, arms and parts.
+
+Collision classes (bit masks): floor for the rollers, things that stand, vehicle, arms, parts. They
+are set here, so that every model keeps to them whatever its own file says.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transform
+from twin.layout import Layout, LayoutError, Line, Pose2, models_dir
+from twin.messages import PART_CLASSES
+from twin.plant.as_built import AsBuilt
+
+FLOOR, STANDING, VEHICLE, ARM, PART = 1, 2, 4, 8, 16
+POOL = 9  # parts of each class in the feeder's store
+WHEELS = ("fl", "fr", "rl", "rr")
+WALL_HEIGHT = 1.1  # m, a cell's partition
+
+
+@dataclass(frozen=True)
+class _Mask:
+    contype: int
+    conaffinity: int
+
+
+MASKS = {
+    "line": _Mask(STANDING, 0),
+    "vehicle": _Mask(VEHICLE, STANDING | ARM | PART),
+    "arm": _Mask(ARM, STANDING | VEHICLE | ARM | PART),
+    "part": _Mask(PART, STANDING | VEHICLE | ARM | PART),
+}
+
+
+def build(
+    layout: Layout, as_built: AsBuilt, pool: int = POOL, models: Path | None = None
+) -> mujoco.MjSpec:
+    """The whole cell as one editable model, not yet compiled.
+
+    Args:
+        layout: what stands where.
+        as_built: deviations of the machine from the drawing.
+        pool: number of parts of each class in the feeder's store.
+        models: folder of the models, the installed one by default.
+
+    Raises:
+        LayoutError: a model file is missing, or names a file outside the folder of the models.
+    """
+    root = models or models_dir()
+    spec = _hall(layout)
+    line = load_model(root, "line/line.xml")
+    _resize_line(line, layout.site.line)
+    line.geom("belt").friction[0] = layout.world.line.friction
+    origin = (*layout.site.line.origin, layout.site.line.direction)
+    _attach(spec, line, origin, "line/", MASKS["line"])
+    for name, pose in (("receiving", layout.site.receiving), ("dock", layout.site.dock)):
+        station = load_model(root, f"station/{name}.xml")
+        _attach(spec, station, pose, f"{name}/", MASKS["line"])
+    _attach_vehicle(spec, root, layout.site.dock, as_built)
+    _attach_parts(spec, root, pool)
+    return spec
+
+
+def load_model(root: Path, name: str) -> mujoco.MjSpec:
+    """One model file, after a check that all it names lies inside `root`.
+
+    Raises:
+        LayoutError: one line naming the file and what is wrong with it.
+    """
+    path = root / name
+    _check_files(path, root.resolve())
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise LayoutError(f"{path}: {str(error).splitlines()[0]}") from None
+
+
+def _check_files(path: Path, root: Path) -> None:
+    try:
+        tree = ElementTree.parse(path).getroot()
+    except OSError:
+        raise LayoutError(f"{path}: model file is missing") from None
+    except ElementTree.ParseError as error:
+        raise LayoutError(f"{path}: not an MJCF file ({error})") from None
+    compiler = tree.find("compiler")
+    folders = {} if compiler is None else compiler.attrib
+    assets = folders.get("assetdir", "")
+    for element in tree.iter():
+        file = element.get("file")
+        if file is None:
+            continue
+        by_kind = {"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, "")
+        folder = "" if element.tag in ("include", "model") else folders.get(by_kind, assets)
+        target = (path.parent / folder / file).resolve()
+        if not target.is_relative_to(root):
+            raise LayoutError(f"{path}: '{file}' lies outside the models' folder {root}")
+        if not target.is_file():
+            raise LayoutError(f"{path}: '{file}' is missing")
+        if element.tag in ("include", "model"):
+            _check_files(target, root)
+
+
+def _hall(layout: Layout) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.modelname = "cell"
+    spec.compiler.degree = False
+    spec.option.timestep = 0.002
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10
+    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    spec.memory = 32 * 2**20
+    spec.copy_during_attach = True  # one connector file makes many parts
+    # Software rendering: no shadows, no multisampling, few slices.
+    quality = spec.visual.quality
+    quality.shadowsize, quality.offsamples = 0, 0
+    quality.numslices, quality.numstacks = 16, 8
+    spec.visual.map.znear, spec.visual.map.zfar = 0.005, 30.0
+    spec.stat.extent, spec.stat.center = 4.0, (2.8, 2.0, 0.5)
+    spec.visual.headlight.ambient = (0.38, 0.38, 0.38)
+    spec.visual.headlight.diffuse = (0.18, 0.18, 0.18)
+    spec.visual.headlight.specular = (0.05, 0.05, 0.05)
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(0.80, 0.84, 0.88),
+        rgb2=(0.55, 0.60, 0.66),
+        width=64,
+        height=384,
+    )
+    for name, rgba in (
+        ("floor", (0.50, 0.51, 0.52, 1)),
+        ("wall", (0.80, 0.81, 0.80, 1)),
+        ("lane", (0.90, 0.76, 0.20, 1)),
+    ):
+        spec.add_material(name=name, rgba=rgba, specular=0.03, shininess=0.05)
+
+    world = spec.worldbody
+    (x0, x1), (y0, y1) = layout.site.hall.x, layout.site.hall.y
+    cx, cy, hx, hy = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
+    for px, py in ((x0 + 0.3 * hx, y0 + 0.4 * hy), (x1 - 0.3 * hx, y1 - 0.4 * hy)):
+        world.add_light(
+            pos=(px, py, 4.0), dir=(0, 0, -1), diffuse=(0.42, 0.42, 0.41), castshadow=False
+        ).cutoff = 85
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=(cx, cy, 0),
+        size=(hx, hy, 0.1),
+        material="floor",
+        group=0,
+        contype=FLOOR | STANDING,
+        conaffinity=0,
+        friction=(0.5, 0.005, 0.0001),
+    )
+    t, h = 0.03, WALL_HEIGHT / 2
+    for name, pos, size in (
+        ("west", (x0 - t, cy, h), (t, hy + 2 * t, h)),
+        ("east", (x1 + t, cy, h), (t, hy + 2 * t, h)),
+        ("south", (cx, y0 - t, h), (hx, t, h)),
+        ("north", (cx, y1 + t, h), (hx, t, h)),
+    ):
+        world.add_geom(
+            name=f"wall_{name}",
+            type=box,
+            pos=pos,
+            size=size,
+            material="wall",
+            group=0,
+            contype=STANDING,
+            conaffinity=0,
+        )
+    return spec
+
+
+def _resize_line(spec: mujoco.MjSpec, line: Line) -> None:
+    """Bring the drawn conveyor (2.5 x 0.2 m, face at 0.70 m) to the layout's size."""
+    belt = spec.geom("belt")
+    dl = line.length - 2 * belt.size[0]
+    dw = line.width / 2 - belt.size[1]
+    dh = line.height - (belt.pos[2] + belt.size[2])
+    for name in ("belt", "bed", "rail_left", "rail_right"):
+        geom = spec.geom(name)
+        geom.pos[0] += dl / 2
+        geom.size[0] += dl / 2
+    for name in ("belt", "bed"):
+        spec.geom(name).size[1] += dw
+    spec.body("downstream").pos[0] += dl
+    for geom in spec.geoms:
+        if geom.name.startswith(("leg", "bin")):  # these stand on the floor
+            if geom.name.startswith("leg"):
+                geom.size[2] += dh / 2
+                geom.pos[2] += dh / 2
+        else:
+            geom.pos[2] += dh
+        if geom.name.startswith("bin"):
+            continue
+        if geom.name == "hood_top":
+            geom.size[1] += dw
+        elif geom.name.startswith(("rail", "leg", "hood_left", "hood_right", "drive")):
+            geom.pos[1] += np.sign(geom.pos[1]) * dw
+
+
+def _attach(
+    spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Pose2, prefix: str, mask: _Mask
+) -> None:
+    _set_masks(child, mask)
+    half = pose[2] / 2
+    frame = spec.worldbody.add_frame(
+        pos=(pose[0], pose[1], 0), quat=(np.cos(half), 0, 0, np.sin(half))
+    )
+    spec.attach(child, frame=frame, prefix=prefix)
+
+
+def _set_masks(spec: mujoco.MjSpec, mask: _Mask) -> None:
+    """Give every geom that collides the masks of its class; rollers meet the floor alone."""
+    for geom in spec.geoms:
+        if geom.name.startswith("roller_"):
+            geom.contype, geom.conaffinity = 0, FLOOR
+        elif geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = mask.contype, mask.conaffinity
+
+
+def _attach_vehicle(spec: mujoco.MjSpec, root: Path, dock: Pose2, as_built: AsBuilt) -> None:
+    agv = load_model(root, "agv/agv.xml")
+    _deviate(agv, as_built)
+    _attach(spec, agv, tuple(np.asarray(dock) + as_built.dock), "agv/", MASKS["vehicle"])
+    for i in range(2):
+        arm = load_model(root, "arm/arm.xml")
+        _set_masks(arm, MASKS["arm"])
+        spec.attach(arm, site=spec.site(f"agv/arm{i}_mount"), prefix=f"arm{i}/")
+
+
+def _deviate(agv: mujoco.MjSpec, as_built: AsBuilt) -> None:
+    """Apply the deviations as built to the drawing of the vehicle."""
+    for i, wheel in enumerate(WHEELS):
+        body = agv.body(f"wheel_{wheel}")
+        body.pos[1] += np.sign(body.pos[1]) * as_built.half_track
+        for roller in agv.bodies:
+            if roller.name.startswith(f"roller_{wheel}_"):
+                radius = np.linalg.norm(roller.pos)
+                roller.pos = roller.pos * (1 + as_built.wheel_radius[i] / radius)
+    flip = transform(rot_x(np.pi), (0, 0, 0))  # MuJoCo looks along -z, the optical frame along z
+    _move(agv.body("mast_camera"), flip @ as_built.camera_mount @ inverse(flip))
+    _move(agv.body("rgbd"), flip @ as_built.rgbd_mount @ inverse(flip))
+    camera = agv.camera("mast_camera")
+    # a longer focal length f = h / (2 tan(fovy / 2)) narrows the view
+    half = np.tan(np.radians(camera.fovy) / 2) / as_built.camera_focal
+    camera.fovy = float(np.degrees(2 * np.arctan(half)))
+
+
+def _move(element, T_drawn_true) -> None:
+    """Shift a body within its parent: `T_parent_true = T_parent_drawn @ T_drawn_true`."""
+    quat = element.quat
+    if element.alt.type == mujoco.mjtOrientation.mjORIENTATION_XYAXES:
+        axes = np.array(element.alt.xyaxes).reshape(2, 3)
+        x, y = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        rotation = np.column_stack([x, y, np.cross(x, y)])
+        element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    else:
+        rotation = rotation_from_quat(quat)
+    T = transform(rotation, element.pos) @ T_drawn_true
+    element.pos, element.quat = T[:3, 3], quat_wxyz(T[:3, :3])
+
+
+def store_pose(index: int) -> np.ndarray:
+    """Where a part waits in the feeder's store, below the hall's floor, out of sight. Shape (3,)."""
+    return np.array([0.15 * (index % 9), 0.15 * (index // 9), -1.0])
+
+
+def _attach_parts(spec: mujoco.MjSpec, root: Path, pool: int) -> None:
+    for c, name in enumerate(PART_CLASSES):
+        part = load_model(root, f"connectors/{name}/{name}.xml")
+        _set_masks(part, MASKS["part"])
+        for geom in part.geoms:
+            geom.group = 4
+        child = part.worldbody.first_body()
+        for k in range(pool):
+            frame = spec.worldbody.add_frame(pos=store_pose(c * pool + k))
+            body = frame.attach_body(child, f"{name}_{k}/", "")
+            body.name = f"part_{name}_{k}"
+            for joint in list(body.joints):
+                spec.delete(joint)
+            body.add_freejoint(name=body.name)
+            # Asleep in the store: costs nothing until the feeder writes its state.
+            body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_INIT

@@ -1,0 +1,178 @@
+"""The compiled cell: steps it, tells the truth about it, and fails loudly when physics does."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.geometry import Array, rotation_from_quat, transform
+from twin.layout import Layout, LayoutError
+from twin.plant.as_built import AsBuilt
+from twin.plant.contacts import CollisionCounter
+from twin.plant.factory import POOL, build
+from twin.plant.shapes import Shape, shapes_of
+
+ARMS = ("arm0", "arm1")
+
+
+class PlantError(RuntimeError):
+    """The simulation is no longer physics. The message is one line."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is really so, at one time. For sensors' models, recorder and evaluation only."""
+
+    stamp: float
+    pose: Array  # (3,) x, y, yaw of the base in world
+    T_world_base: Array  # (4, 4)
+    velocity: Array  # (3,) vx, vy, omega of the base in base axes
+    joint_position: Array  # (2, 6) rad
+    T_world_tcp: Array  # (2, 4, 4)
+    finger_width: Array  # (2,) m between the pads
+    part_names: tuple[str, ...]
+    part_position: Array  # (n, 3) of the parts' frames in world
+    part_quat: Array  # (n, 4) w, x, y, z
+    part_velocity: Array  # (n, 3) m/s in world
+
+    def T_world_part(self, name: str) -> Array:
+        """Pose of one part. Shape (4, 4)."""
+        i = self.part_names.index(name)
+        return transform(rotation_from_quat(self.part_quat[i]), self.part_position[i])
+
+
+class World:
+    """The cell in MuJoCo. After construction and after `step`, all derived data belong to `time`.
+
+    Args:
+        layout: what stands where.
+        as_built: deviations of this machine from the drawing.
+        pool: parts of each class in the feeder's store.
+        models: folder of the models, the installed one by default.
+
+    Raises:
+        LayoutError: the models cannot be put together.
+    """
+
+    def __init__(
+        self, layout: Layout, as_built: AsBuilt, pool: int = POOL, models: Path | None = None
+    ):
+        spec = build(layout, as_built, pool, models)
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            raise LayoutError(f"models: {str(error).splitlines()[0]}") from None
+        self.data = mujoco.MjData(self.model)
+        m = self.model
+        self._belt = m.geom("line/belt").id
+        self.set_belt_speed(layout.world.line.speed)
+        self.part_names = tuple(
+            m.body(b).name for b in range(m.nbody) if m.body(b).name.startswith("part_")
+        )
+        self._base_dof = int(m.joint("agv/base").dofadr[0])
+        self._base_qpos = int(m.joint("agv/base").qposadr[0])
+        part_joint = [m.joint(name).id for name in self.part_names]
+        self._part_qpos = m.jnt_qposadr[part_joint][:, None] + np.arange(7)
+        self._part_dof = m.jnt_dofadr[part_joint][:, None] + np.arange(6)
+        self._arm_qpos = np.array(
+            [[m.joint(f"{a}/joint{j}").qposadr[0] for j in range(1, 7)] for a in ARMS]
+        )
+        self._finger_qpos = np.array(
+            [[m.joint(f"{a}/finger_{s}").qposadr[0] for s in ("left", "right")] for a in ARMS]
+        )
+        self._tcp = [m.site(f"{a}/tcp").id for a in ARMS]
+        self._counter = CollisionCounter(m)
+        self._stale = False
+        mujoco.mj_forward(m, self.data)
+
+    # --- time --------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start."""
+        return self.data.time
+
+    def step(self) -> None:
+        """One physics step of 2 ms under the present `data.ctrl`.
+
+        The halves of `mj_step` are taken in the order 2, 1, so that positions, contacts and
+        velocities belong to the new state; after a plain `mj_step` they would be one step old,
+        2 mm at full speed.
+
+        Raises:
+            PlantError: MuJoCo warned, reset itself, or a state is not finite.
+        """
+        if self._stale:
+            mujoco.mj_step1(self.model, self.data)
+            self._stale = False
+        before = self.data.time
+        mujoco.mj_step2(self.model, self.data)
+        mujoco.mj_step1(self.model, self.data)
+        if self.data.warning.number.any():
+            raise PlantError(self._warning())
+        if not self.data.time > before:
+            raise PlantError(f"physics was reset at {before:.3f} s")
+        self._counter.observe(self.data.time, self.data)
+
+    def _warning(self) -> str:
+        number = self.data.warning.number
+        kinds = [k.name for k in mujoco.mjtWarning if k.value < len(number) and number[k.value]]
+        return f"MuJoCo warned at {self.data.time:.3f} s: {', '.join(kinds)}"
+
+    # --- what the feeder and the faults may write -----------------------------------------------
+
+    def place_part(self, name: str, position, quat_wxyz, velocity=(0.0, 0.0, 0.0)) -> None:
+        """Put a part somewhere, with a velocity in world. For feeder and faults alone."""
+        try:
+            i = self.part_names.index(name)
+        except ValueError:
+            raise PlantError(f"there is no part '{name}' in the store") from None
+        self.data.qpos[self._part_qpos[i]] = (*position, *quat_wxyz)
+        self.data.qvel[self._part_dof[i]] = (*velocity, 0.0, 0.0, 0.0)
+        self._stale = True
+
+    def set_belt_speed(self, speed: float) -> None:
+        """Run the belt at `speed` m/s along its direction."""
+        self.model.geom_surfacevel[self._belt, 0] = speed
+
+    # --- truth -------------------------------------------------------------------------------
+
+    @property
+    def collisions(self):
+        """Onsets of all collisions so far."""
+        return self._counter.onsets
+
+    def truth(self) -> Truth:
+        """The true state now."""
+        d, q = self.data, self._base_qpos
+        R = rotation_from_quat(d.qpos[q + 3 : q + 7])
+        v = self._base_dof
+        velocity = R.T @ d.qvel[v : v + 3]
+        tcp = [transform(d.site_xmat[s].reshape(3, 3), d.site_xpos[s]) for s in self._tcp]
+        parts = d.qpos[self._part_qpos]
+        return Truth(
+            stamp=d.time,
+            pose=np.array([d.qpos[q], d.qpos[q + 1], np.arctan2(R[1, 0], R[0, 0])]),
+            T_world_base=transform(R, d.qpos[q : q + 3]),
+            velocity=np.array([velocity[0], velocity[1], d.qvel[v + 5]]),
+            joint_position=d.qpos[self._arm_qpos],
+            T_world_tcp=np.array(tcp),
+            finger_width=d.qpos[self._finger_qpos].sum(axis=1),
+            part_names=self.part_names,
+            part_position=parts[:, :3],
+            part_quat=parts[:, 3:],
+            part_velocity=d.qvel[self._part_dof[:, :3]],
+        )
+
+    # --- for a recorder ------------------------------------------------------------------------
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Everything that can be seen, as plain primitives and meshes."""
+        return shapes_of(self.model)
+
+    def body_poses(self) -> tuple[Array, Array]:
+        """Positions (nbody, 3) and quaternions wxyz (nbody, 4) of all bodies in world."""
+        return self.data.xpos.copy(), self.data.xquat.copy()
