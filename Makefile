@@ -1,0 +1,47 @@
+# make demo, make test: all set-up included. The rest is for those who change things.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: demo test test-slow lint bench docs clean
+
+demo: $(VENV)/.runtime  ## Run the cell once with a recording
+	$(BIN)/twin run pick_line --record --out runs/demo; status=$$?; \
+	  echo "watch it: $(BIN)/rerun runs/demo/recording.rrd"; exit $$status
+
+test: $(VENV)/.dev  ## The whole suite
+	$(BIN)/python -m pytest -n 2
+
+test-slow: $(VENV)/.dev  ## Reference figures of full runs
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/.dev  ## Style, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.runtime  ## Time of each part of the loop
+	$(BIN)/python -m evaluation.benchmarks
+
+docs: $(VENV)/.runtime  ## Draw the README's figure of the frames
+	$(BIN)/python docs/frames.py
+
+$(VENV)/bin/python:
+	PYTHON=$(PYTHON) .ci/system
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: $(VENV)/bin/python pyproject.toml constraints.txt
+	PYTHON=$(PYTHON) .ci/system
+	$(PIP) --editable .
+	touch $@
+
+$(VENV)/.dev: $(VENV)/bin/python pyproject.toml constraints.txt
+	PYTHON=$(PYTHON) .ci/system
+	$(PIP) --editable '.[dev]'
+	touch $@
+
+clean:  ## Remove the environment and what tools leave; keeps runs/
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
