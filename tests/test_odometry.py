@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from twin.geometry import compose2
 from twin.messages import WheelState
 from twin.stack.config import Wheels
-from twin.stack.estimation.odometry import MECANUM, WheelOdometry, displacement, exp2
+from twin.stack.estimation.odometry import WheelOdometry, displacement, exp2
 from twin.stack.estimation.pose_history import PoseHistory
 
 WHEELS = Wheels()
@@ -53,10 +53,6 @@ def test_late_readings_are_ignored():
     pose = odometry.update(state(0.1, counts((0.1, 0, 0)))).copy()
     for stamp in (0.1, 0.05, np.nan):
         np.testing.assert_array_equal(odometry.update(state(stamp, counts((9, 0, 0)))), pose)
-
-
-def test_rows_of_the_kinematics_are_orthogonal():
-    assert np.allclose(MECANUM @ MECANUM.T, np.eye(3) / 4)
 
 
 def test_history_interpolates_across_the_turn_of_the_angle():

@@ -165,6 +165,7 @@ class StackConfig:
         )
     )
     parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
+    line_hood: float = 0.30  # m from the belt's upstream end to the front of the feeder's hood
     odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock
     midplane: float = -0.030  # x in base that no arm crosses while both work, m
 

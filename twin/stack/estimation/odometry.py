@@ -5,10 +5,7 @@ import numpy as np
 from twin.geometry import Array, compose2
 from twin.messages import WheelState
 from twin.stack.config import Wheels
-
-# Rows vx, vy, omega of the mecanum forward kinematics, over wheel rim speeds; the sum of the half
-# base and half track still divides the last row (Li & An 2025, section 4; Muir & Neuman 1987).
-MECANUM = 0.25 * np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
+from twin.stack.control import mecanum
 
 
 def displacement(wheels: Wheels, ticks: Array) -> Array:
@@ -22,8 +19,7 @@ def displacement(wheels: Wheels, ticks: Array) -> Array:
         x, y in m and yaw in rad, as a twist times its duration. Shape (3,).
     """
     turn = 2 * np.pi / (wheels.gear_ratio * wheels.counts_per_turn)
-    forward, lateral, rim = MECANUM @ (wheels.radius * turn * np.asarray(ticks, dtype=float))
-    return np.array([forward, lateral, rim / (wheels.half_base + wheels.half_track)])
+    return mecanum.body_velocity(wheels, turn * np.asarray(ticks, dtype=float))
 
 
 def exp2(twist: Array) -> Array:

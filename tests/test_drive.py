@@ -1,0 +1,83 @@
+"""Driving along way-points, against a vehicle that answers with a lag."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.geometry import compose2, wrap_angle
+from twin.layout import load_layout
+from twin.stack.config import DriveLimits
+from twin.stack.estimation.odometry import exp2
+from twin.stack.planning.drive import MARGIN, Drive, Leg
+
+DT = 0.01
+LIMITS = DriveLimits()
+SITE = load_layout().site
+
+
+def follow(route, start, lag=0.05, limit=60.0):
+    """Drive a first-order vehicle with ideal estimates; rows of time, pose and velocity."""
+    drive, pose, velocity, now, rows = Drive(LIMITS), np.array(start), np.zeros(3), 0.0, []
+    drive.start(now, pose, route)
+    while not drive.done and now < limit:
+        command = drive.step(now, pose, velocity).as_array()
+        velocity = velocity + (command - velocity) * DT / lag
+        pose = compose2(pose, exp2(velocity * DT))
+        now += DT
+        rows.append([now, *pose, *velocity])
+    return drive, np.array(rows)
+
+
+def test_route_to_the_line_is_driven_at_cruise_and_ends_in_place():
+    route = [*SITE.route_to_pick, SITE.pick]
+    drive, rows = follow(route, SITE.dock)
+    assert drive.done
+    np.testing.assert_allclose(rows[-1, 1:3], SITE.pick[:2], atol=0.005)
+    assert abs(wrap_angle(rows[-1, 3] - SITE.pick[2])) < np.radians(0.3)
+    assert rows[:, 4].max() == pytest.approx(0.95, abs=0.02)
+    assert np.abs(rows[:, 5]).max() < LIMITS.strafe_speed * MARGIN
+    planned = Drive(LIMITS)
+    planned.start(0.0, np.array(SITE.dock), route)
+    assert rows[-1, 0] - planned.remaining_time(0.0) < 0.15 * len(route) + 0.5
+
+
+def test_stop_time_predicts_the_arrival():
+    drive = Drive(LIMITS)
+    drive.start(0.0, np.zeros(3), [[2.0, 0.0, 0.0]])
+    predicted = drive.stop_time()
+    _, rows = follow([[2.0, 0.0, 0.0]], np.zeros(3))
+    stopped = rows[np.nonzero(np.abs(rows[:, 4]) > 0.02)[0][-1], 0]
+    assert stopped == pytest.approx(predicted, abs=0.15)
+
+
+def test_remaining_time_and_distance_fall_to_nothing():
+    drive = Drive(LIMITS)
+    assert drive.remaining_time(0.0) == 0.0
+    drive.start(0.0, np.zeros(3), [[1.0, 0, 0], [1.0, 1.0, 0]])
+    assert drive.remaining_distance(np.zeros(3)) == pytest.approx(2.0)
+    assert drive.remaining_time(0.0) > drive.stop_time()
+    drive, _ = follow([[1.0, 0, 0], [1.0, 1.0, 0]], np.zeros(3))
+    assert drive.remaining_time(100.0) == 0.0 and drive.remaining_distance(np.zeros(3)) == 0.0
+
+
+poses = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3.1, 3.1))
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses, poses)
+def test_leg_keeps_to_every_limit(start, goal):
+    leg = Leg(LIMITS, np.array(start), np.array(goal), 0.0)
+    for t in np.linspace(0, leg.duration, 40):
+        _, velocity, acceleration = leg.at(t)
+        assert np.hypot(*velocity[:2]) <= LIMITS.speed + 1e-6
+        assert np.hypot(*acceleration[:2]) <= LIMITS.acceleration + 1e-6
+        assert abs(velocity[2]) <= LIMITS.turn_rate + 1e-6
+        assert abs(acceleration[2]) <= LIMITS.turn_acceleration + 1e-6
+    reference, velocity, _ = leg.at(leg.ends)
+    np.testing.assert_allclose(reference[:2], goal[:2], atol=1e-9)
+    np.testing.assert_allclose(velocity, 0, atol=1e-9)
+
+
+def test_a_leg_of_no_length_takes_no_time():
+    assert Leg(LIMITS, np.ones(3), np.ones(3), 0.0).duration < 0.01

@@ -1,0 +1,181 @@
+"""Drive to a pose along way-points: straight, strafe and turn on the spot.
+
+Each leg from pose to pose is one path coordinate from 0 to 1, moved along by a time-optimal profile
+of limited jerk (ruckig). The command is the profile's velocity as feed-forward plus a proportional
+answer to the error of the fused pose.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import ruckig
+
+from twin.geometry import Array, between2, rot2, wrap_angle
+from twin.messages import BodyVelocity
+from twin.stack.config import DriveLimits
+
+POSITION_GAIN = 3.0  # 1/s: well below the wheel loops' bandwidth; not tuned
+YAW_GAIN = 4.0  # 1/s; not tuned
+TOLERANCE, TOLERANCE_YAW = 0.005, np.radians(0.3)  # m, rad: a way-point is reached
+CORNER_WAIT = 0.15  # s at most that a corner waits for its tolerance
+STOPPED, STOPPED_TURN = 0.005, 0.01  # m/s, rad/s: estimated velocity that counts as standing
+MARGIN = 1.10  # of the limits that feedback may use
+
+
+class Leg:
+    """Motion from rest at one pose to rest at another, in a straight line.
+
+    Args:
+        limits: of the vehicle.
+        start: x, y, yaw in world.
+        goal: likewise.
+        began: time at which it starts, s.
+    """
+
+    def __init__(self, limits: DriveLimits, start: Array, goal: Array, began: float):
+        self.start, self.goal, self.began = np.array(start), np.array(goal), began
+        self.change = self.goal - self.start
+        self.change[2] = wrap_angle(self.change[2])
+        self._trajectory = ruckig.Trajectory(1)
+        speed, acceleration, jerk = self._path_limits(limits)
+        problem = ruckig.InputParameter(1)
+        problem.target_position = [1.0]
+        problem.max_velocity = [speed]
+        problem.max_acceleration = [acceleration]
+        problem.max_jerk = [jerk]
+        result = ruckig.Ruckig(1).calculate(problem, self._trajectory)
+        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+            raise ValueError(f"leg {self.start} -> {self.goal}: no profile ({result})")
+
+    def _path_limits(self, limits: DriveLimits) -> tuple[float, float, float]:
+        """Speed, acceleration and jerk of the path coordinate, 1/s, 1/s^2, 1/s^3.
+
+        Mecanum wheels add up what each direction asks of them, so the shares of the limits must
+        add up to one. A leg that turns as it goes may point anywhere: it takes the strafe's speed.
+        """
+        dx, dy = between2(self.start, self.goal)[:2]
+        distance, turn = float(np.hypot(dx, dy)), abs(self.change[2])
+        if turn > 0.1:
+            along = distance / limits.strafe_speed
+        else:
+            along = abs(dx) / limits.speed + abs(dy) / limits.strafe_speed
+        whole = 1e-9  # a leg of no length takes no time
+        speed = along + turn / limits.turn_rate + whole
+        acceleration = distance / limits.acceleration + turn / limits.turn_acceleration + whole
+        jerk = distance / limits.jerk + turn / limits.turn_jerk + whole
+        return 1 / speed, 1 / acceleration, 1 / jerk
+
+    @property
+    def duration(self) -> float:
+        return self._trajectory.duration
+
+    @property
+    def ends(self) -> float:
+        """Time at which the reference stands at the goal, s."""
+        return self.began + self.duration
+
+    @property
+    def length(self) -> float:
+        return float(np.hypot(*self.change[:2]))
+
+    def at(self, now: float) -> tuple[Array, Array, Array]:
+        """Reference pose, and its velocity and acceleration in world axes. Shapes (3,)."""
+        s, ds, dds = self._trajectory.at_time(min(max(now - self.began, 0.0), self.duration))
+        return self.start + s[0] * self.change, ds[0] * self.change, dds[0] * self.change
+
+
+class Drive:
+    """Follows a route of way-points with a short settle at each and a full stop at the last.
+
+    Args:
+        limits: of the vehicle.
+    """
+
+    def __init__(self, limits: DriveLimits):
+        self._limits = limits
+        self._legs: list[Leg] = []
+        self._index = 0
+        self.done = True
+
+    def start(self, now: float, pose: Array, route: Sequence[Sequence[float]]) -> None:
+        """Set out from the fused pose along poses (x, y, yaw) in world; the last is the goal."""
+        poses = [np.asarray(pose, dtype=float), *(np.asarray(p, dtype=float) for p in route)]
+        self._legs, began = [], now
+        for a, b in pairwise(poses):
+            self._legs.append(Leg(self._limits, a, b, began))
+            began = self._legs[-1].ends
+        self._index, self.done = 0, not self._legs
+
+    @property
+    def leg(self) -> Leg | None:
+        """The leg under way; the last one after arrival."""
+        return self._legs[self._index] if self._legs else None
+
+    @property
+    def last_leg(self) -> bool:
+        return self._index == len(self._legs) - 1
+
+    def stop_time(self) -> float:
+        """Time at which the current leg's reference comes to rest, s."""
+        return self._legs[self._index].ends
+
+    def remaining_time(self, now: float) -> float:
+        """Seconds until the whole route's reference has come to rest, settling left out."""
+        if self.done:
+            return 0.0
+        later = sum(leg.duration for leg in self._legs[self._index + 1 :])
+        return max(self.stop_time() - now, 0.0) + later
+
+    def remaining_distance(self, pose: Array) -> float:
+        """Metres of path left from the fused pose to the goal."""
+        if self.done:
+            return 0.0
+        here = float(np.hypot(*(self._legs[self._index].goal - pose)[:2]))
+        return here + sum(leg.length for leg in self._legs[self._index + 1 :])
+
+    def step(self, now: float, pose: Array, velocity: Array) -> BodyVelocity:
+        """Command of this tick.
+
+        Args:
+            now: s.
+            pose: fused x, y, yaw in world.
+            velocity: fused vx, vy, omega in base; used to tell when the vehicle stands.
+        """
+        if self.done:
+            return BodyVelocity()
+        self._next_leg(now, pose, velocity)
+        if self.done:
+            return BodyVelocity()
+        reference, speed, acceleration = self._legs[self._index].at(now)
+        error = self._error(reference, pose)
+        world = speed + self._limits.velocity_lag * acceleration
+        world = world + np.array([POSITION_GAIN, POSITION_GAIN, YAW_GAIN]) * error
+        return self._clipped(np.array([*(rot2(pose[2]).T @ world[:2]), world[2]]))
+
+    def _next_leg(self, now: float, pose: Array, velocity: Array) -> None:
+        leg = self._legs[self._index]
+        if now < leg.ends:
+            return
+        error = self._error(leg.goal, pose)
+        reached = np.hypot(*error[:2]) < TOLERANCE and abs(error[2]) < TOLERANCE_YAW
+        if self.last_leg:
+            still = np.hypot(*velocity[:2]) < STOPPED and abs(velocity[2]) < STOPPED_TURN
+            self.done = bool(reached and still)
+        elif reached or now >= leg.ends + CORNER_WAIT:
+            # From where it is: what is left of the error goes into the next leg.
+            self._index += 1
+            goal = self._legs[self._index].goal
+            self._legs[self._index] = Leg(self._limits, pose, goal, now)
+
+    @staticmethod
+    def _error(goal: Array, pose: Array) -> Array:
+        error = goal - pose
+        error[2] = wrap_angle(error[2])
+        return error
+
+    def _clipped(self, velocity: Array) -> BodyVelocity:
+        """Scaled back, in direction, to the vehicle's limits."""
+        most = [self._limits.speed, self._limits.strafe_speed, self._limits.turn_rate]
+        share = float(np.sum(np.abs(velocity) / most)) / MARGIN
+        return BodyVelocity(*(velocity / max(share, 1.0)))
