@@ -270,7 +270,7 @@ def _move(element, T_drawn_true) -> None:
 
 
 def store_pose(index: int) -> np.ndarray:
-    """Where a part waits in the feeder's store, below the hall's floor, out of sight. Shape (3,)."""
+    """Where a part waits in the feeder's store: below the floor, out of sight. Shape (3,)."""
     return np.array([0.15 * (index % 9), 0.15 * (index // 9), -1.0])
 
 

@@ -16,11 +16,12 @@ from twin.messages import PartClass
 
 @dataclass(frozen=True)
 class Wheels:
-    """Mecanum base. `half_base + half_track` is the lever of the turning rate."""
+    """Mecanum base; `twin.stack.control.mecanum` has the kinematics."""
 
-    radius: float = 0.0760  # effective rolling radius, m
+    radius: float = 0.07593  # effective rolling radius, m: models/agv/README.md, calibration
     half_base: float = 0.230  # axle to centre along x, m
     half_track: float = 0.200  # wheel centre to centre along y, m
+    rollers: int = 12  # on each wheel
     gear_ratio: float = 20.0
     counts_per_turn: int = 4 * 500  # quadrature counts a motor turn: 500 lines
     max_wheel_speed: float = 15.7  # rad/s: motor 3000 rpm over the gear
@@ -167,6 +168,8 @@ class StackConfig:
     parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
     line_hood: float = 0.30  # m from the belt's upstream end to the front of the feeder's hood
     odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock
+    # Base x along the belt within which each arm meets parts, m.
+    pick_windows: tuple[tuple[float, float], ...] = ((0.04, 0.28), (-0.50, -0.10))
     midplane: float = -0.030  # x in base that no arm crosses while both work, m
 
 
