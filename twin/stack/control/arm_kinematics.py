@@ -42,7 +42,7 @@ class ArmKinematics:
         self.lower, self.upper = np.array(arm.lower), np.array(arm.upper)
 
     def frames(self, q: Array) -> tuple[Array, Array]:
-        """Joint axes and joint origins in mount. Shapes (6, 3), (7, 3); the last origin is the TCP."""
+        """Joint axes (6, 3) and origins (7, 3) in mount; the seventh origin is the TCP."""
         R1 = rot_z(q[0])
         R2 = R1 @ rot_y(q[1])
         R3 = R2 @ rot_y(q[2])
@@ -61,7 +61,8 @@ class ArmKinematics:
         R = R3 @ rot_z(q[3]) @ rot_y(q[4]) @ rot_z(q[5])
         upper = rot_z(q[0]) @ rot_y(q[1])
         p = self.a * upper[:, 2] + self.b * R3[:, 2] + self.c * R[:, 2]
-        return transform(R, p + (0.0, 0.0, self.h))
+        p[2] += self.h
+        return transform(R, p)
 
     def jacobian(self, q: Array) -> Array:
         """Twist of the TCP in mount axes (linear, then angular) per joint speed. Shape (6, 6)."""
@@ -79,10 +80,11 @@ class ArmKinematics:
         distance2 = x * x + y * y + z * z
         cos_elbow = (distance2 - self.a**2 - self.b**2) / (2 * self.a * self.b)
         if abs(cos_elbow) > 1.0:
+            tcp = ", ".join(f"{c:.3f}" for c in T_mount_tcp[:3, 3])
             raise Unreachable(
-                f"TCP at ({T_mount_tcp[0, 3]:.3f}, {T_mount_tcp[1, 3]:.3f}, {T_mount_tcp[2, 3]:.3f})"
-                f" m in mount: the wrist would stand {np.sqrt(distance2):.3f} m from the shoulder;"
-                f" {abs(self.a - self.b):.3f} to {self.a + self.b:.3f} m can be reached"
+                f"TCP at ({tcp}) m in mount: the wrist would stand {np.sqrt(distance2):.3f} m"
+                f" from the shoulder; {abs(self.a - self.b):.3f} to {self.a + self.b:.3f} m"
+                f" can be reached"
             )
         radius = np.hypot(x, y)
         found = []
@@ -104,6 +106,47 @@ class ArmKinematics:
                     q4, q6 = 0.0, np.arctan2(W[1, 0], W[0, 0])
                 found.append((q1, q2, q3, q4, q5, q6))
         return wrap_angle(np.array(found))
+
+    def inverse_down(self, position: Array, yaw: Array, near: float = 0.0) -> Array:
+        """Joint angles of a hand pointing straight down, elbow up, joint 4 at zero. Shape (n, 6).
+
+        One closed form for many points: with the hand down the arm stays in the vertical plane
+        through joint 1, and joint 6 turns the fingers, which are alike (yaw modulo half a turn).
+
+        Args:
+            position: TCP in mount, m. Shape (n, 3).
+            yaw: closing direction in mount, rad, continuous along the points. Shape (n,).
+            near: joint 6 of the first point is the choice nearest to this, rad.
+
+        Raises:
+            Unreachable: a point is too far, too near, or beyond a joint's limit.
+        """
+        x, y, z = np.asarray(position, dtype=float).T
+        radius, height = np.hypot(x, y), z + self.c - self.h
+        cos_elbow = (radius**2 + height**2 - self.a**2 - self.b**2) / (2 * self.a * self.b)
+        worst = int(np.argmax(np.abs(cos_elbow)))
+        if abs(cos_elbow[worst]) > 1.0:
+            raise Unreachable(
+                f"TCP at ({x[worst]:.3f}, {y[worst]:.3f}, {z[worst]:.3f}) m in mount: beyond"
+                f" the reach of upper arm and forearm"
+            )
+        q1 = np.unwrap(np.arctan2(y, x))
+        q3 = np.arccos(cos_elbow)
+        q2 = np.arctan2(radius, height) - np.arctan2(
+            self.b * np.sin(q3), self.a + self.b * cos_elbow
+        )
+        q6 = q1 + np.pi / 2 - np.asarray(yaw)
+        q6 = q6 - np.pi * np.round((q6[0] - near) / np.pi)
+        q = np.column_stack([q1, q2, q3, np.zeros_like(q1), np.pi - q2 - q3, q6])
+        over = np.maximum(q - self.upper, self.lower - q)
+        point, joint = np.unravel_index(int(np.argmax(over)), over.shape)
+        if over[point, joint] > 0.0:
+            raise Unreachable(
+                f"TCP at ({x[point]:.3f}, {y[point]:.3f}, {z[point]:.3f}) m in mount:"
+                f" joint {joint + 1} would have to stand at {q[point, joint]:.3f} rad;"
+                f" it may go from {self.lower[joint]:.3f} to {self.upper[joint]:.3f}"
+            )
+        return q
 
     def inverse(self, T_mount_tcp: Array, seed: Array, symmetric: bool = False) -> Array:
         """Joint angles within the limits that reach a pose, the nearest to `seed`. Shape (6,).
