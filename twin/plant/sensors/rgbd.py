@@ -69,5 +69,5 @@ class RgbdCamera:
         z = depth.astype(np.float32)
         kernel = np.ones((3, 3), np.uint8)
         step = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
-        valid = (noisy > RANGE_MIN) & (noisy < RANGE_MAX) & (step < EDGE_STEP * z)
+        valid = (noisy > RANGE_MIN) & (depth < RANGE_MAX) & (step < EDGE_STEP * z)
         return np.where(valid, np.rint(noisy * 1000.0), 0).astype(np.uint16)
