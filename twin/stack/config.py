@@ -91,8 +91,8 @@ class Arm:
     flange: float = 0.070  # wrist centre to flange
     tool: float = 0.130  # flange to the point between the fingertips (TCP)
     max_speed: tuple[float, ...] = (3.14,) * 6  # rad/s
-    max_acceleration: tuple[float, ...] = (16.0, 16.0, 18.0, 20.0, 20.0, 20.0)  # rad/s^2
-    max_jerk: tuple[float, ...] = (400.0, 400.0, 450.0, 500.0, 500.0, 500.0)  # rad/s^3
+    max_acceleration: tuple[float, ...] = (18.0, 13.0, 18.0, 20.0, 20.0, 20.0)  # rad/s^2
+    max_jerk: tuple[float, ...] = (500.0, 400.0, 500.0, 500.0, 500.0, 500.0)  # rad/s^3
     max_torque: tuple[float, ...] = (50.0, 50.0, 32.0, 32.0, 32.0, 20.0)  # N m
     lower: tuple[float, ...] = (-2.95, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
     upper: tuple[float, ...] = (2.95, 1.9, 2.75, 3.1, 2.1, 6.2)
@@ -138,6 +138,8 @@ class PartDrawing:
     grip_yaw: float  # closing direction in the part frame, rad
     symmetric: bool  # looks the same turned by half a turn
     mass: float  # kg
+    # Convex solids whose union is the part, each by its corners in the part frame, (k, 3), m.
+    solids: tuple[Array, ...] = field(default=(), compare=False, repr=False)
 
 
 @dataclass(frozen=True)
