@@ -12,6 +12,7 @@ from twin.layout import Layout, LayoutError
 from twin.plant.as_built import AsBuilt
 from twin.plant.contacts import CollisionCounter
 from twin.plant.factory import POOL, build
+from twin.plant.grips import Grip, GripWatcher
 from twin.plant.shapes import Shape, shapes_of
 
 ARMS = ("arm0", "arm1")
@@ -32,6 +33,7 @@ class Truth:
     joint_position: Array  # (2, 6) rad
     T_world_tcp: Array  # (2, 4, 4)
     finger_width: Array  # (2,) m between the pads
+    grips: tuple[Grip, Grip]  # what each hand holds
     part_names: tuple[str, ...]
     part_position: Array  # (n, 3) of the parts' frames in world
     part_quat: Array  # (n, 4) w, x, y, z
@@ -84,6 +86,7 @@ class World:
         )
         self._tcp = [m.site(f"{a}/tcp").id for a in ARMS]
         self._counter = CollisionCounter(m)
+        self._grips = GripWatcher(m)
         self._stale = False
         mujoco.mj_forward(m, self.data)
 
@@ -133,6 +136,10 @@ class World:
         self.data.qvel[self._part_dof[i]] = (*velocity, 0.0, 0.0, 0.0)
         self._stale = True
 
+    def refresh(self) -> None:
+        """Bring all derived data up to the state, after it was set before the run."""
+        mujoco.mj_forward(self.model, self.data)
+
     def set_belt_speed(self, speed: float) -> None:
         """Run the belt at `speed` m/s along its direction."""
         self.model.geom_surfacevel[self._belt, 0] = speed
@@ -160,6 +167,7 @@ class World:
             joint_position=d.qpos[self._arm_qpos],
             T_world_tcp=np.array(tcp),
             finger_width=d.qpos[self._finger_qpos].sum(axis=1),
+            grips=self._grips.observe(d),
             part_names=self.part_names,
             part_position=parts[:, :3],
             part_quat=parts[:, 3:],

@@ -1,0 +1,35 @@
+"""True, fused and wheel-only paths of a run."""
+
+import numpy as np
+
+from evaluation.run import Trajectory
+from twin.loop import Tick
+
+MOVING = 0.02  # m/s or rad/s of the true velocity: faster than this the vehicle moves
+
+
+class TrajectoryMonitor:
+    """Collects poses at every tick of the stack."""
+
+    def __init__(self):
+        self._stamps: list[float] = []
+        self._poses: dict[str, list] = {"truth": [], "estimate": [], "odometry": []}
+        self._moving: list[bool] = []
+
+    def observe(self, tick: Tick) -> None:
+        self._stamps.append(tick.stamp)
+        self._poses["truth"].append(tick.truth.pose)
+        self._poses["estimate"].append(tick.state.pose)
+        self._poses["odometry"].append(tick.state.odometry_pose)
+        self._moving.append(bool(np.any(np.abs(tick.truth.velocity) > MOVING)))
+
+    def moving(self):
+        """Whether the vehicle truly moved, at each stamp. Shape (n,)."""
+        return np.array(self._moving, dtype=bool)
+
+    def trajectories(self) -> dict[str, Trajectory]:
+        """Stamps (n,) and poses (n, 3) of each path."""
+        stamps = np.array(self._stamps)
+        return {
+            name: (stamps, np.array(poses).reshape(-1, 3)) for name, poses in self._poses.items()
+        }

@@ -1,0 +1,123 @@
+"""The simulated cell as the loop sees it: readings out, commands in, one step at a time."""
+
+import numpy as np
+
+from twin.layout import Layout
+from twin.messages import Commands, Order, Reading
+from twin.plant.actuators.arm_drive import ArmDrive
+from twin.plant.actuators.gripper_drive import GripperDrive
+from twin.plant.actuators.wheel_drive import WheelDrive
+from twin.plant.as_built import AsBuilt
+from twin.plant.feeder import Feeder
+from twin.plant.sensors.camera import MastCamera
+from twin.plant.sensors.encoders import WheelEncoders
+from twin.plant.sensors.imu import ImuSensor
+from twin.plant.sensors.joints import ArmSensor, GripperSensor
+from twin.plant.sensors.lidar import LidarSensor
+from twin.plant.sensors.rendering import RenderWorker
+from twin.plant.sensors.rgbd import RgbdCamera
+from twin.plant.sensors.suite import SensorSuite
+from twin.plant.world import Truth, World
+
+PARKED_WIDTH = 0.025  # m between the pads at the start
+STEPS_PER_TICK = 5  # physics steps of 2 ms in a tick of the stack
+
+class OrderDesk:
+    """Sends the order once, at the start, over the plant's network."""
+
+    period, latency = 1e9, 0.1  # s; the latency is a guess
+
+    def __init__(self, order):
+        self._items = tuple((c, n) for c, n in order.items() if n)
+
+    def sample(self, stamp: float, model, data) -> Order:
+        return Order(stamp, self._items)
+
+
+class Plant:
+    """World, feeder, sensors and actuators of one run.
+
+    Args:
+        layout: what stands where.
+        seed: of everything random in the plant.
+        parked: joint angles at which the arms were left, shape (2, 6), rad; None leaves them
+            standing straight up.
+
+    Raises:
+        LayoutError: the models cannot be put together.
+    """
+
+    def __init__(self, layout: Layout, seed: int, parked=None):
+        built, wheels, feed, *noise = np.random.default_rng(seed).spawn(8)
+        self.layout, self.as_built = layout, AsBuilt.draw(built, layout.world.tolerances)
+        self.world = World(layout, self.as_built)
+        model, data = self.world.model, self.world.data
+        self.feeder = Feeder(self.world, layout, feed)
+        self._encoders = WheelEncoders(model, wheels)
+        self._wheels = WheelDrive(model)
+        self._arms = [
+            ArmDrive(model, f"arm{i}/", self.as_built.arm_joint_zero[i]) for i in range(2)
+        ]
+        self._grippers = [GripperDrive(model, f"arm{i}/") for i in range(2)]
+        if parked is not None:
+            self._park(parked)
+        self._renderer = RenderWorker(model)
+        k = layout.world.sensors.noise_scale
+        self._suite = SensorSuite(
+            [
+                OrderDesk(layout.world.order),
+                ImuSensor(model, noise[0], k),
+                *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
+                *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
+                LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
+                MastCamera(self._renderer, noise[3], k),
+                RgbdCamera(self._renderer, noise[4], k),
+            ],
+            layout.world.sensors.latency_scale,
+        )
+        self._suite.sample(self.time, model, data)
+
+    def _park(self, parked) -> None:
+        for drive, q in zip(self._arms, parked, strict=True):
+            drive.set_rest(self.world.data, np.asarray(q))
+        for gripper in self._grippers:
+            gripper.set_rest(self.world.data, PARKED_WIDTH)
+        self.world.refresh()
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.world.time
+
+    def truth(self) -> Truth:
+        """The true state, for evaluation and recording only."""
+        return self.world.truth()
+
+    def readings(self) -> tuple[Reading, ...]:
+        """What has arrived since the last call."""
+        return self._suite.arrived(self.time)
+
+    def encoder_counts(self):
+        """The wheels' hardware counters, for the control unit. Shape (4,)."""
+        return self._encoders.counts(self.world.data)
+
+    def apply(self, commands: Commands) -> None:
+        """Hand the set-points of arms and grippers to their drives."""
+        for command in commands.arms:
+            self._arms[command.arm].command(command)
+        for command in commands.grippers:
+            self._grippers[command.arm].command(command)
+
+    def step(self, pwm) -> None:
+        """One physics step of 2 ms under the wheels' duty `pwm`, shape (4,)."""
+        data = self.world.data
+        self._wheels.apply(data, pwm)
+        for drive in (*self._arms, *self._grippers):
+            drive.apply(data)
+        self.feeder.step()
+        self.world.step()
+        self._suite.sample(self.time, self.world.model, data)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
