@@ -121,8 +121,8 @@ def _hall(layout: Layout) -> mujoco.MjSpec:
     quality.numslices, quality.numstacks = 16, 8
     spec.visual.map.znear, spec.visual.map.zfar = 0.005, 30.0
     spec.stat.extent, spec.stat.center = 4.0, (2.8, 2.0, 0.5)
-    spec.visual.headlight.ambient = (0.38, 0.38, 0.38)
-    spec.visual.headlight.diffuse = (0.18, 0.18, 0.18)
+    spec.visual.headlight.ambient = (0.34, 0.34, 0.34)
+    spec.visual.headlight.diffuse = (0.12, 0.12, 0.12)
     spec.visual.headlight.specular = (0.05, 0.05, 0.05)
     spec.add_texture(
         name="sky",
@@ -135,19 +135,22 @@ def _hall(layout: Layout) -> mujoco.MjSpec:
     )
     for name, rgba in (
         ("floor", (0.50, 0.51, 0.52, 1)),
-        ("wall", (0.80, 0.81, 0.80, 1)),
-        ("lane", (0.90, 0.76, 0.20, 1)),
+        ("wall", (0.72, 0.74, 0.75, 1)),
     ):
         spec.add_material(name=name, rgba=rgba, specular=0.03, shininess=0.05)
 
     world = spec.worldbody
     (x0, x1), (y0, y1) = layout.site.hall.x, layout.site.hall.y
     cx, cy, hx, hy = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
-    for px, py in ((x0 + 0.3 * hx, y0 + 0.4 * hy), (x1 - 0.3 * hx, y1 - 0.4 * hy)):
+    for direction in ((-0.35, 0.25, -0.9), (0.5, -0.3, -0.8)):  # two rows of lamps
         world.add_light(
-            pos=(px, py, 4.0), dir=(0, 0, -1), diffuse=(0.42, 0.42, 0.41), castshadow=False
-        ).cutoff = 85
-    box = mujoco.mjtGeom.mjGEOM_BOX
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=(cx, cy, 4.0),
+            dir=direction,
+            diffuse=(0.36, 0.36, 0.35),
+            specular=(0.25, 0.25, 0.25),
+            castshadow=False,
+        )
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -168,7 +171,7 @@ def _hall(layout: Layout) -> mujoco.MjSpec:
     ):
         world.add_geom(
             name=f"wall_{name}",
-            type=box,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=pos,
             size=size,
             material="wall",
@@ -201,7 +204,7 @@ def _resize_line(spec: mujoco.MjSpec, line: Line) -> None:
             geom.pos[2] += dh
         if geom.name.startswith("bin"):
             continue
-        if geom.name == "hood_top":
+        if geom.name in ("hood_top", "drum_up", "drum_down"):
             geom.size[1] += dw
         elif geom.name.startswith(("rail", "leg", "hood_left", "hood_right", "drive")):
             geom.pos[1] += np.sign(geom.pos[1]) * dw

@@ -1,5 +1,6 @@
 """The compiled cell: steps it, tells the truth about it, and fails loudly when physics does."""
 
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,11 @@ from twin.plant.grips import Grip, GripWatcher
 from twin.plant.shapes import Shape, shapes_of
 
 ARMS = ("arm0", "arm1")
+
+
+# MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder.
+_last_warning = deque(["no text"], maxlen=1)
+mujoco.set_mju_user_warning(lambda text: _last_warning.append(text.strip()))
 
 
 class PlantError(RuntimeError):
@@ -114,15 +120,10 @@ class World:
         mujoco.mj_step2(self.model, self.data)
         mujoco.mj_step1(self.model, self.data)
         if self.data.warning.number.any():
-            raise PlantError(self._warning())
+            raise PlantError(f"MuJoCo warned at {before:.3f} s: {_last_warning[-1]}")
         if not self.data.time > before:
             raise PlantError(f"physics was reset at {before:.3f} s")
         self._counter.observe(self.data.time, self.data)
-
-    def _warning(self) -> str:
-        number = self.data.warning.number
-        kinds = [k.name for k in mujoco.mjtWarning if k.value < len(number) and number[k.value]]
-        return f"MuJoCo warned at {self.data.time:.3f} s: {', '.join(kinds)}"
 
     # --- what the feeder and the faults may write -----------------------------------------------
 

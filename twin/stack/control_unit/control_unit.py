@@ -8,7 +8,13 @@ from twin.messages import BodyVelocity, WheelState
 from twin.stack.config import Wheels
 from twin.stack.control import mecanum
 from twin.stack.control_unit.counts import CountDecoder
-from twin.stack.control_unit.wheel_pid import MotorDrawing, PidGains, WheelPid
+from twin.stack.control_unit.wheel_pid import (
+    NOMINAL_GAINS,
+    NOMINAL_MOTOR,
+    MotorDrawing,
+    PidGains,
+    WheelPid,
+)
 
 PERIOD = 0.002  # s between calls
 
@@ -28,8 +34,8 @@ class ControlUnit:
     def __init__(
         self,
         wheels: Wheels,
-        motor: MotorDrawing = MotorDrawing(),
-        gains: PidGains = PidGains(),
+        motor: MotorDrawing = NOMINAL_MOTOR,
+        gains: PidGains = NOMINAL_GAINS,
         start: float = 0.0,
     ):
         self._wheels = wheels

@@ -37,6 +37,9 @@ class PidGains:
     dead_band: float = 0.02  # rad/s of reference below which no friction is fed forward
 
 
+NOMINAL_MOTOR, NOMINAL_GAINS = MotorDrawing(), PidGains()
+
+
 class WheelPid:
     """PID on the speeds of four wheels at once; output is the PWM duty in [-1, 1].
 
@@ -51,8 +54,8 @@ class WheelPid:
         self,
         gear_ratio: float,
         period: float,
-        motor: MotorDrawing = MotorDrawing(),
-        gains: PidGains = PidGains(),
+        motor: MotorDrawing = NOMINAL_MOTOR,
+        gains: PidGains = NOMINAL_GAINS,
     ):
         self._period, self._motor, self._gains = period, motor, gains
         self._back_emf = motor.torque_constant * gear_ratio  # V s/rad at the wheel
