@@ -3,6 +3,8 @@
 import json
 import math
 
+import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,12 +12,14 @@ from hypothesis import strategies as st
 
 from evaluation.ape import heading, pose_errors
 from evaluation.metrics import per_hour, percentile, ratio
+from evaluation.plots import plot_errors, plot_paths
 from evaluation.report import build_report, format_value, report_table, verdict, write_report
 from evaluation.run import Criterion, RunRequest, RunResult
 from twin.geometry import quat_wxyz, rot_x, rot_z
 from twin.layout import load_layout
 from twin.recording.tum import read_tum, write_tum
 
+matplotlib.use("Agg")
 NAN = float("nan")
 
 
@@ -162,3 +166,18 @@ def test_statistics_of_nothing_are_nan():
     assert math.isnan(percentile([], 95)) and math.isnan(ratio(1, 0)) and math.isnan(per_hour(1, 0))
     assert percentile([0.0, 1.0], 95) == pytest.approx(0.95)
     assert per_hour(20, 120) == pytest.approx(600)
+
+
+# --- plots ----------------------------------------------------------------------------------------
+
+
+def test_plots_show_every_trajectory_that_there_is(tmp_path):
+    t, truth = straight()
+    write_tum(tmp_path / "truth.tum", t, truth)
+    write_tum(tmp_path / "estimate.tum", t, truth + np.array([0.0, 0.002, 0.0]))
+    figure, (paths, errors) = plt.subplots(1, 2)
+    plot_paths(paths, tmp_path, load_layout().site)
+    plot_errors(errors, tmp_path)
+    assert [line.get_label() for line in paths.lines] == ["true", "fused estimate"]
+    assert errors.lines[0].get_ydata() == pytest.approx(np.full(5, 2.0))
+    plt.close(figure)

@@ -31,6 +31,8 @@ from evaluation.run_folder import FolderError, RunFolder
 from twin.layout import Layout, LayoutError, load_layout
 from twin.recording.tum import write_tum
 
+NOTES = 8  # of the last are printed
+
 
 class InputError(ValueError):
     """Something asked for that cannot be done. The message is one line."""
@@ -75,18 +77,14 @@ def main(argv: Sequence[str] | None = None, package: str = "scenarios") -> int:
         argv: arguments, without the program's name; the process's own without any.
         package: package whose modules are the scenarios.
     """
-    # A shell that starts us in the background has interrupts ignored; take them back.
-    _on_interrupt(signal.default_int_handler)
     try:
-        command = _parse(sys.argv[1:] if argv is None else argv)
-        if isinstance(command, List):
-            _list(package)
-            return 0
-        return _run(command, package)
-    except (InputError, LayoutError, FolderError) as error:
-        print(f"twin: {_one_line(error)}", file=sys.stderr)
-        return 2
-    except OSError as error:
+        with _interruptible():
+            command = _parse(sys.argv[1:] if argv is None else argv)
+            if isinstance(command, List):
+                _list(package)
+                return 0
+            return _run(command, package)
+    except (InputError, LayoutError, FolderError, OSError) as error:
         print(f"twin: {_one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -147,8 +145,10 @@ def _run(asked: Run, package: str) -> int:
         raise
     console = Console()
     console.print(report_table(report))
-    for note in result.notes:
+    for note in result.notes[-NOTES:]:
         console.print(escape(note))
+    if len(result.notes) > NOTES:
+        console.print(f"({len(result.notes) - NOTES} earlier notes are in report.json)")
     console.print(escape(verdict(report)))
     console.print(escape(f"files in {folder.target}: {', '.join(files)}"), soft_wrap=True)
     return 0 if report["passed"] else 1
@@ -237,6 +237,20 @@ def _progress():
             bar.update(task, completed=sim_time, total=max(total, sim_time), description=about)
 
         yield progress
+
+
+@contextlib.contextmanager
+def _interruptible():
+    """SIGINT and SIGTERM raise KeyboardInterrupt, also where a shell has them ignored for us."""
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(s) for s in signals]
+    _on_interrupt(signal.default_int_handler)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            for number, handler in zip(signals, before, strict=True):
+                signal.signal(number, handler)
 
 
 def _on_interrupt(handler) -> None:
