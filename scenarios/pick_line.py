@@ -12,6 +12,7 @@ from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
 from twin.layout import Layout
 from twin.loop import Loop
+from twin.plant.live_viewer import LiveViewer
 from twin.plant.plant import Plant
 from twin.recording.recording import Recording
 from twin.stack.config import nominal_config
@@ -36,11 +37,12 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     stack = Stack(config)
     plant = Plant(layout, request.seed, [w.motion.state(0.0)[0] for w in stack.arms])
     picks, paths = PickMonitor(layout, config), TrajectoryMonitor()
-    observers: list = [picks, paths]
-    recording = Recording(request.out, plant.world, config) if request.record else None
-    if recording:
-        observers.append(recording)
-    loop = Loop(plant, stack, ControlUnit(config.wheels), observers)
+    watchers: list = []
+    if request.record:
+        watchers.append(Recording(request.out, plant.world, config))
+    if request.viewer:
+        watchers.append(LiveViewer(plant.world))
+    loop = Loop(plant, stack, ControlUnit(config.wheels), (picks, paths, *watchers))
     longest = min(LONGEST, request.duration or LONGEST)
     warm, complete = (0.0, 0.0), False
     try:
@@ -56,8 +58,8 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     except KeyboardInterrupt:
         pass  # what was measured so far is reported, marked incomplete
     finally:
-        if recording:
-            recording.close()
+        for watcher in watchers:
+            watcher.close()
         plant.close()
     timed, busy = plant.time - warm[0], loop.busy_s - warm[1]
     return RunResult(

@@ -61,20 +61,18 @@ class Plant:
         self._grippers = [GripperDrive(model, f"arm{i}/") for i in range(2)]
         if parked is not None:
             self._park(parked)
-        self._renderer = RenderWorker(model)
+        self.renderer = RenderWorker(model)
         k = layout.world.sensors.noise_scale
-        self._suite = SensorSuite(
-            [
-                OrderDesk(layout.world.order),
-                ImuSensor(model, noise[0], k),
-                *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
-                *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
-                LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
-                MastCamera(self._renderer, noise[3], k),
-                RgbdCamera(self._renderer, noise[4], k),
-            ],
-            layout.world.sensors.latency_scale,
+        self.sensors = (
+            OrderDesk(layout.world.order),
+            ImuSensor(model, noise[0], k),
+            *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
+            *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
+            LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
+            MastCamera(self.renderer, noise[3], k),
+            RgbdCamera(self.renderer, noise[4], k),
         )
+        self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
         self._suite.sample(self.time, model, data)
 
     def _park(self, parked) -> None:
@@ -120,4 +118,4 @@ class Plant:
 
     def close(self) -> None:
         """Free the renderer."""
-        self._renderer.close()
+        self.renderer.close()
