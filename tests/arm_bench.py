@@ -30,7 +30,7 @@ class ArmBench:
         box = mujoco.mjtGeom.mjGEOM_BOX
         world = spec.worldbody
         world.add_geom(type=box, size=[0.35, 0.25, 0.005], pos=[0, 0, DECK - 0.005])
-        belt = world.add_geom(name="belt", type=box, size=[1.2, 0.10, 0.005])
+        belt = world.add_geom(name="belt", type=box, size=[2.0, 0.10, 0.005])
         belt.pos, belt.friction = [0, 0.45, BELT - 0.005], [0.9, 0.005, 0.0001]
         belt.surfacevel = [1e-9, 0, 0, 0, 0, 0]
         for k, (dx, dy) in enumerate([(0.027, 0), (-0.027, 0), (0, 0.027), (0, -0.027)]):
@@ -53,11 +53,13 @@ class ArmBench:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.model.geom_surfacevel[self.model.geom("belt").id, 0] = -belt_speed
-        self.drive = ArmDrive(self.model, "arm/", np.zeros(6) if zero_offset is None else zero_offset)
+        self.drive = ArmDrive(
+            self.model, "arm/", np.zeros(6) if zero_offset is None else zero_offset
+        )
         self.gripper = GripperDrive(self.model, "arm/")
         self.motion = ArmMotion(arm, self.config)
         self.tick, self.tracking = 0, []
-        self.drive.set_rest(self.data, self.motion.state(0.0)[0])
+        self.drive.park(self.model, self.data, f"arm/stow{arm}")
         self.gripper.set_rest(self.data, 0.050)
         mujoco.mj_forward(self.model, self.data)
 
@@ -70,6 +72,7 @@ class ArmBench:
 
     def part_pose(self):
         """`T_base_part` and its velocity, from truth: the bench knows them exactly."""
+        mujoco.mj_kinematics(self.model, self.data)
         body = self.data.body("part")
         return transform(body.xmat.reshape(3, 3), body.xpos), self.data.joint("part").qvel[:3]
 
@@ -79,6 +82,7 @@ class ArmBench:
     def step(self):
         """One tick of 10 ms; returns the TCP's distance from its reference, m."""
         command = self.motion.command(self.now)
+        mujoco.mj_kinematics(self.model, self.data)  # poses are a step old after mj_step
         tcp = self.data.site("arm/tcp").xpos.copy()
         wanted = self.motion.kinematics.forward(command.position)[:3, 3]
         error = float(np.linalg.norm(self.to_mount(tcp) - wanted))

@@ -12,10 +12,10 @@ import numpy as np
 from twin.geometry import Array
 from twin.messages import ArmCommand
 
-# Stiffness for about 60 rad/s with the links' own inertia at the shoulder and 60 rad/s with the
-# rotors' at the wrist, damping 0.7 and above: computed, not tuned.
-KP = np.array([2000.0, 2000.0, 1200.0, 250.0, 250.0, 220.0])  # N m/rad
-KD = np.array([60.0, 60.0, 36.0, 8.0, 8.0, 7.0])  # N m s/rad
+# 75 rad/s with the stretched arm's inertia (about 1.1, 0.45, 0.06 kg m^2 with the rotors), damping
+# 0.7 and above; on the folded arm kd dt / I stays below 1. Computed, not tuned.
+KP = np.array([6000.0, 6000.0, 2500.0, 400.0, 400.0, 350.0])  # N m/rad
+KD = np.array([120.0, 120.0, 50.0, 9.0, 9.0, 8.0])  # N m s/rad
 MAX_TORQUE = np.array([50.0, 50.0, 32.0, 32.0, 32.0, 20.0])  # N m: models/arm/README.md
 MAX_SPEED = np.radians(180.0)  # rad/s: the same
 RESOLUTION = 2 * np.pi / 2**19  # rad: 19-bit absolute encoder at the output, a common joint module
@@ -46,9 +46,9 @@ class ArmDrive:
         """What the joint encoders read, rad. Shape (6,)."""
         return np.round((data.qpos[self._qpos] + self._zero) / RESOLUTION) * RESOLUTION
 
-    def set_rest(self, data: mujoco.MjData, q: Array) -> None:
-        """Before the run begins: put the arm where its encoders read q."""
-        data.qpos[self._qpos] = q - self._zero
+    def park(self, model: mujoco.MjModel, data: mujoco.MjData, keyframe: str) -> None:
+        """Before the run begins: stand as in a keyframe of the arm's model ("arm0/stow0")."""
+        data.qpos[self._qpos] = model.key(keyframe).qpos[self._qpos]
         data.qvel[self._dof] = 0.0
 
     def command(self, goal: ArmCommand) -> None:

@@ -3,13 +3,12 @@
 All positions are the TCP's, in the arm's mount frame; the hand points down and its two fingers
 are alike. A pick is an approach (ruckig, to a point above the part, at the part's velocity), then
 straight down in the frame of the moving part, a dwell there while the fingers close, and a lift
-out of that frame. Transfers are timed paths (arm_path.py).
+out of that frame. Everything else is a timed path (arm_path.py).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import ruckig
 
 from twin.geometry import Array, inverse, rot2
 from twin.messages import ArmCommand
@@ -17,26 +16,27 @@ from twin.stack.config import StackConfig
 from twin.stack.control.arm_dynamics import ArmDynamics
 from twin.stack.control.arm_kinematics import ArmKinematics, Unreachable
 from twin.stack.control.arm_path import STEP, JointTable, Travel, hand_path, time_path
+from twin.stack.control.arm_trajectory import (
+    Grasp,
+    JointState,
+    TooLate,
+    rendezvous,
+    state_above,
+    straight,
+    table_of,
+)
+from twin.stack.grasping.intercept import first_feasible
+
+__all__ = ["ArmMotion", "Grasp", "PickTimes", "PlaceTimes", "TooLate"]
 
 DESCENT_HEIGHT, DESCENT_TIME = 0.050, 0.24  # m, s: peak 5.8 h / T^2 = 5 m/s^2
-DWELL = 0.24  # s between closing command and lift: 20 mm at 150 mm/s, then 33 ms to full force
-LIFT_HEIGHT, LIFT_TIME = 0.065, 0.28  # m, s
-RELEASE = 0.14  # s between opening command and going up from a slot
+DWELL = 0.20  # s between closing command and lift: 16 mm at 150 mm/s, 33 ms to full force, air
+LIFT_HEIGHT, LIFT_TIME = 0.065, 0.26  # m, s: peak 5.6 m/s^2
+RELEASE = 0.14  # s between opening command and going up from a slot: 12 mm at 150 mm/s, air
 HAND_AIR = 0.08  # m from the belt's rail within which the hand keeps the belt's travel height
+DIP = 0.030  # m below the belt's travel height that an approach may pass
+TICK = 0.010  # s between set-points
 LATEST = 6.0  # s ahead that a meeting is looked for
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """Where the TCP must be to close on a part that moves with constant velocity, in mount."""
-
-    stamp: float  # time to which `position` belongs, s
-    position: Array  # (3,) m
-    velocity: Array  # (3,) m/s
-    yaw: float  # along which the fingers close, rad
-
-    def at(self, time: float) -> Array:
-        return self.position + self.velocity * (time - self.stamp)
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class _Segment:
     start: float
     table: JointTable
 
-
-class TooLate(Unreachable):
-    """The arm cannot be there in time."""
+    @property
+    def end(self) -> float:
+        return self.start + self.table.duration
 
 
 class ArmMotion:
@@ -81,58 +81,63 @@ class ArmMotion:
         self.dynamics = ArmDynamics(config.arm_model)
         T_base_mount = config.T_base_arm[index]
         self.T_mount_base = inverse(T_base_mount)
-        deck, side = T_base_mount[2, 3], 1.0 if index == 0 else -1.0
+        mount_x, mount_y, deck = T_base_mount[:3, 3]
         line = config.site.line
         # Distance of the belt's centre line to the left of the vehicle at the pick pose.
         to_line = np.asarray(line.origin) - np.asarray(config.site.pick[:2])
         belt_y = float((rot2(config.site.pick[2]).T @ to_line)[1])
-        rail = belt_y - line.width / 2 - 0.02 - T_base_mount[1, 3]
-        belt = line.height - deck
+        rail, belt = belt_y - line.width / 2 - 0.02 - mount_y, line.height - deck
         self.travel = Travel(
             belt_edge=rail - HAND_AIR,
             belt_height=belt + 0.070,
             tray_height=config.tray.floor + config.tray.wall + 0.088 - deck,
         )
-        window = config.pick_windows[index]
-        self.ready_position = np.array(
-            [belt_y - T_base_mount[1, 3], T_base_mount[0, 3] - sum(window) / 2, belt + 0.090]
-        )
-        self.stow_position = np.array([-0.173, side * 0.100, 0.160])
-        stow = self.stow_position
-        yaw = np.arctan2(stow[1], stow[0]) + np.pi / 2  # joint 6 at zero
-        self._rest = self.kinematics.inverse_down(stow[None], np.array([yaw]))[0]
+        middle = sum(config.pick_windows[index]) / 2
+        self.ready_position = np.array([belt_y - mount_y, mount_x - middle, belt + 0.090])
+        # Turned away from the belt over the vehicle's own deck, 0.20 m from the column.
+        self.stow_position = np.array([-0.173, 0.100 if index == 0 else -0.100, 0.160])
+        yaw = np.array([_plain_yaw(self.stow_position)])
+        self._rest = self.kinematics.inverse_down(self.stow_position[None], yaw)[0]
         self._segments: list[_Segment] = []
         self._pick: PickTimes | None = None
         self._approach_start = 0.0
-        self._ruckig = ruckig.Ruckig(6)
 
     # --- state ----------------------------------------------------------------------------------
 
     @property
     def ends_at(self) -> float:
         """Time at which everything planned is over; -inf if nothing was ever planned."""
-        if not self._segments:
-            return -np.inf
-        return self._segments[-1].start + self._segments[-1].table.duration
+        return self._segments[-1].end if self._segments else -np.inf
 
     def idle(self, now: float) -> bool:
         """Whether the arm stands still with nothing planned."""
         return now >= self.ends_at - 1e-9
 
-    def state(self, now: float) -> tuple[Array, Array, Array]:
-        """Reference joint position, velocity and acceleration. Shapes (6,)."""
-        while len(self._segments) > 1 and self._segments[1].start <= now + 1e-9:
-            self._segments.pop(0)
-        return self._state(now, self._segments)
+    def state(self, time: float) -> JointState:
+        """Reference at a time not before the last command's."""
+        for segment in reversed(self._segments):
+            if segment.start <= time + 1e-9:
+                if time > segment.end + 1e-9:
+                    return JointState.still(segment.table.q[-1])
+                return JointState(*segment.table.sample(time - segment.start))
+        return JointState.still(self._segments[0].table.q[0] if self._segments else self._rest)
 
     def command(self, now: float) -> ArmCommand:
-        """Set-points of this tick, with feed-forward torque."""
-        q, qd, qdd = self.state(now)
-        return ArmCommand(self.index, q, qd, self.dynamics.torque(q, qd, qdd))
+        """Set-points of this tick, with feed-forward torque.
+
+        The drive runs on from the position at the given velocity until the next tick: so that is
+        the mean velocity of the tick, and the torque that of its middle.
+        """
+        while len(self._segments) > 1 and self._segments[1].start <= now + 1e-9:
+            self._segments.pop(0)
+        q, middle = self.state(now).q, self.state(now + TICK / 2)
+        velocity = (self.state(now + TICK).q - q) / TICK
+        torque = self.dynamics.torque(middle.q, middle.qd, middle.qdd)
+        return ArmCommand(self.index, q, velocity, torque)
 
     def tcp(self, now: float) -> Array:
         """Reference position of the TCP in mount. Shape (3,)."""
-        return self.kinematics.forward(self.state(now)[0])[:3, 3]
+        return self.kinematics.forward(self.state(now).q)[:3, 3]
 
     # --- plans ----------------------------------------------------------------------------------
 
@@ -148,7 +153,7 @@ class ArmMotion:
             Unreachable: nothing is changed.
         """
         start = max(now, self.ends_at)
-        table = self._transfer(self._state(start, self._segments)[0], position, yaw)
+        table = self._transfer(self.state(start).q, position, yaw)
         self._segments.append(_Segment(start, table))
         return self.ends_at
 
@@ -163,12 +168,12 @@ class ArmMotion:
     def duration_to(self, now: float, position: Array, yaw: float | None = None) -> float:
         """Seconds from the end of what is planned to standing at a point."""
         start = max(now, self.ends_at)
-        return self._transfer(self._state(start, self._segments)[0], position, yaw).duration
+        return self._transfer(self.state(start).q, position, yaw).duration
 
     def earliest_meeting(self, now: float, grasp: Grasp) -> float:
         """Earliest time at which the TCP can be at the part, moving with it.
 
-        Solves `duration(approach to the state at T) = T - start` by bisection.
+        Solves `duration(approach to the state above the part at T) = T - start` by bisection.
 
         Raises:
             Unreachable: the part is not met within `LATEST` seconds, or passes out of reach.
@@ -177,30 +182,22 @@ class ArmMotion:
 
         def spare(meet: float) -> float:
             above = meet - DESCENT_TIME
-            return above - start - self._trajectory(state, grasp, above).duration
+            try:
+                goal = self._above(state, grasp, above)
+                return above - start - rendezvous(self.arm, state, goal).duration
+            except Unreachable:
+                return -1.0
 
-        low, high = start + DESCENT_TIME, None
-        for meet in np.arange(low, low + LATEST, 0.1):  # the first moment that will do
-            try:
-                if spare(meet) >= 0.0:
-                    high = float(meet)
-                    break
-            except Unreachable:
-                pass  # not yet within reach
-            low = float(meet)
-        if high is None:
+        begin = start + DESCENT_TIME
+        meet = first_feasible(spare, begin, begin + LATEST)
+        if meet is None:
             raise TooLate(f"arm {self.index} cannot meet this part within {LATEST} s")
-        for _ in range(10):
-            middle = 0.5 * (low + high)
-            try:
-                good = spare(middle) >= 0.0
-            except Unreachable:
-                good = False
-            low, high = (low, middle) if good else (middle, high)
-        return high
+        return meet
 
     def pick(self, now: float, grasp: Grasp, meet: float) -> PickTimes:
-        """Plan a pick whose TCP is at the part at time `meet`; replaces an approach under way.
+        """Plan a pick whose TCP is at the part at time `meet`.
+
+        Called again before `PickTimes.descend`, it replaces the plan, the approach under way too.
 
         Raises:
             TooLate: the arm cannot be there at `meet`; nothing is changed.
@@ -209,10 +206,10 @@ class ArmMotion:
         start, before, state = self._approach_from(now)
         above, lift = meet - DESCENT_TIME, meet + DWELL
         approach = self._approach(state, grasp, start, above)
-        near = float(approach.q[-1, 5])
-        down = self._straight(grasp, near, above, DESCENT_TIME, (DESCENT_HEIGHT, 0.0))
-        dwell = self._straight(grasp, near, meet, DWELL, (0.0, 0.0))
-        up = self._straight(grasp, near, lift, LIFT_TIME, (0.0, LIFT_HEIGHT), stop=True)
+        near, kin = float(approach.q[-1, 5]), self.kinematics
+        down = straight(kin, grasp, near, above, DESCENT_TIME, (DESCENT_HEIGHT, 0.0))
+        dwell = straight(kin, grasp, near, meet, DWELL, (0.0, 0.0))
+        up = straight(kin, grasp, near, lift, LIFT_TIME, (0.0, LIFT_HEIGHT), stop=True)
         starts, tables = (start, above, meet, lift), (approach, down, dwell, up)
         self._segments = [*before, *map(_Segment, starts, tables)]
         self._approach_start = start
@@ -229,23 +226,14 @@ class ArmMotion:
 
     # --- inside ---------------------------------------------------------------------------------
 
-    def _state(self, time: float, segments: list[_Segment]) -> tuple[Array, Array, Array]:
-        for segment in reversed(segments):
-            if segment.start <= time + 1e-9:
-                if time > segment.start + segment.table.duration + 1e-9:
-                    return segment.table.q[-1], np.zeros(6), np.zeros(6)
-                return segment.table.sample(time - segment.start)
-        return (segments[0].table.q[0] if segments else self._rest), np.zeros(6), np.zeros(6)
-
     def _transfer(self, q: Array, position: Array, yaw: float | None) -> JointTable:
         here = self.kinematics.forward(q)
         yaw_here = float(np.arctan2(here[1, 1], here[0, 1]))
-        if yaw is None:  # joint 6 at zero
-            yaw = float(np.arctan2(position[1], position[0]) + np.pi / 2)
+        goal = _plain_yaw(position) if yaw is None else yaw
         points = hand_path(here[:3, 3], position, self.travel)
-        return time_path(points, (yaw_here, yaw), float(q[5]), self.arm)
+        return time_path(points, (yaw_here, goal), float(q[5]), self.arm)
 
-    def _approach_from(self, now: float):
+    def _approach_from(self, now: float) -> tuple[float, list[_Segment], JointState]:
         """When an approach can begin, the segments that run before it, and the state there."""
         segments = self._segments
         if self._pick is not None and now < self._pick.descend - 1e-9:  # plan this pick anew
@@ -253,70 +241,33 @@ class ArmMotion:
             before = [s for s in segments if s.start < self._approach_start - 1e-9]
         else:
             start, before = max(now, self.ends_at), list(segments)
-        state = self._state(start, segments)
-        if self.kinematics.forward(state[0])[0, 3] < self.travel.belt_edge:  # over the deck: out
-            table = self._transfer(state[0], self.ready_position, None)
+        state = self.state(start)
+        if self.kinematics.forward(state.q)[0, 3] < self.travel.belt_edge:  # over the deck: out
+            table = self._transfer(state.q, self.ready_position, None)
             before.append(_Segment(start, table))
-            start += table.duration
-            state = (table.q[-1], np.zeros(6), np.zeros(6))
+            start, state = start + table.duration, JointState.still(table.q[-1])
         return start, before, state
 
-    def _moving_state(self, grasp: Grasp, near: float, time: float):
-        """Joint state above a moving part, by differences of the closed form. Shapes (6,)."""
-        p = np.array([grasp.at(time + k * STEP) for k in (-1, 0, 1)])
-        p[:, 2] += DESCENT_HEIGHT
-        q = self.kinematics.inverse_down(p, np.full(3, grasp.yaw), near)
-        return q[1], (q[2] - q[0]) / (2 * STEP), (q[2] - 2 * q[1] + q[0]) / STEP**2
+    def _above(self, state: JointState, grasp: Grasp, time: float) -> JointState:
+        near = float(np.clip(state.q[5], -np.pi / 2, np.pi / 2))  # joint 6 must not wind up
+        return state_above(self.kinematics, grasp, DESCENT_HEIGHT, near, time)
 
-    def _trajectory(self, state, grasp: Grasp, time: float, minimum: float | None = None):
-        """Ruckig trajectory from a state to the part's side at `time`; at least `minimum` long."""
-        task = ruckig.InputParameter(6)
-        task.current_position, task.current_velocity, task.current_acceleration = state
-        near = float(np.clip(state[0][5], -np.pi / 2, np.pi / 2))  # joint 6 must not wind up
-        target = self._moving_state(grasp, near, time)
-        task.target_position, task.target_velocity, task.target_acceleration = target
-        task.max_velocity = self.arm.max_speed
-        task.max_acceleration = self.arm.max_acceleration
-        task.max_jerk = self.arm.max_jerk
-        if minimum is not None:
-            task.minimum_duration = minimum
-        trajectory = ruckig.Trajectory(6)
-        result = self._ruckig.calculate(task, trajectory)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise Unreachable(f"arm {self.index}: no approach found ({result.name})")
-        return trajectory
-
-    def _approach(self, state, grasp: Grasp, start: float, end: float) -> JointTable:
+    def _approach(self, state: JointState, grasp: Grasp, start: float, end: float) -> JointTable:
         if end - start < STEP:
             raise TooLate(f"arm {self.index}: {end - start:.3f} s are left for the approach")
-        trajectory = self._trajectory(state, grasp, end, end - start)
+        trajectory = rendezvous(self.arm, state, self._above(state, grasp, end), end - start)
         if trajectory.duration > end - start + 1e-6:
             raise TooLate(
                 f"arm {self.index}: the approach takes {trajectory.duration:.3f} s,"
                 f" {end - start:.3f} s are left"
             )
-        times = np.arange(int(np.ceil((end - start) / STEP)) + 1) * STEP
-        q, qd, qdd = (np.array(a) for a in zip(*map(trajectory.at_time, times), strict=True))
-        lowest = min(self.kinematics.forward(x)[2, 3] for x in q[::10])
-        if lowest < self.travel.belt_height - 0.030:
+        table = table_of(trajectory, end - start)
+        lowest = min(self.kinematics.forward(q)[2, 3] for q in table.q[::10])
+        if lowest < self.travel.belt_height - DIP:
             raise Unreachable(f"arm {self.index}: the approach would dip to {lowest:.3f} m")
-        return JointTable(q, qd, qdd)
+        return table
 
-    def _straight(
-        self,
-        grasp: Grasp,
-        near: float,
-        start: float,
-        duration: float,
-        heights: tuple[float, float],
-        stop: bool = False,
-    ) -> JointTable:
-        """Straight up or down in the part's frame; `stop` comes to rest in the mount's frame."""
-        x = np.linspace(0.0, 1.0, round(duration / STEP) + 1)
-        rise = x**3 * (10 - 15 * x + 6 * x**2)
-        moved = x - (x**4 * (2.5 - 3 * x + x**2) if stop else 0.0)  # of the frame, in durations
-        p = grasp.at(start) + np.outer(duration * moved, grasp.velocity)
-        p[:, 2] += heights[0] + (heights[1] - heights[0]) * rise
-        return JointTable.from_positions(
-            self.kinematics.inverse_down(p, np.full(len(x), grasp.yaw), near)
-        )
+
+def _plain_yaw(position: Array) -> float:
+    """Closing direction at a point for which joint 6 stands at zero."""
+    return float(np.arctan2(position[1], position[0]) + np.pi / 2)
