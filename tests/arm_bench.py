@@ -59,7 +59,7 @@ class ArmBench:
         self.gripper = GripperDrive(self.model, "arm/")
         self.motion = ArmMotion(arm, self.config)
         self.tick, self.tracking = 0, []
-        self.drive.park(self.model, self.data, f"arm/stow{arm}")
+        self.drive.set_rest(self.data, self.motion.state(0.0).q)
         self.gripper.set_rest(self.data, 0.050)
         mujoco.mj_forward(self.model, self.data)
 

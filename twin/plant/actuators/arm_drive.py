@@ -46,9 +46,9 @@ class ArmDrive:
         """What the joint encoders read, rad. Shape (6,)."""
         return np.round((data.qpos[self._qpos] + self._zero) / RESOLUTION) * RESOLUTION
 
-    def park(self, model: mujoco.MjModel, data: mujoco.MjData, keyframe: str) -> None:
-        """Before the run begins: stand as in a keyframe of the arm's model ("arm0/stow0")."""
-        data.qpos[self._qpos] = model.key(keyframe).qpos[self._qpos]
+    def set_rest(self, data: mujoco.MjData, q: Array) -> None:
+        """Before the run begins: stand where the encoders read q, rad. Shape (6,)."""
+        data.qpos[self._qpos] = q - self._zero
         data.qvel[self._dof] = 0.0
 
     def command(self, goal: ArmCommand) -> None:

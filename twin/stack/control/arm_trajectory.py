@@ -1,6 +1,7 @@
 """Joint motions towards a moving part and in its frame. The hand points down all along."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import ruckig
@@ -25,8 +26,7 @@ class Grasp:
         return self.position + self.velocity * (time - self.stamp)
 
 
-@dataclass(frozen=True)
-class JointState:
+class JointState(NamedTuple):
     """Reference of the six joints at one time. Shapes (6,)."""
 
     q: Array  # rad
