@@ -23,7 +23,6 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from evaluation.report import build_report, report_table, verdict, write_report
 from evaluation.run import RunRequest, RunResult
@@ -109,10 +108,10 @@ def description(source: Path) -> str:
 
 
 def _list(package: str) -> None:
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for name, source in scenario_files(package).items():
-        table.add_row(name, escape(description(source)))
-    Console().print(table)
+    files = scenario_files(package)
+    width = max(map(len, files), default=0)
+    for name, source in files.items():
+        print(f"{name:{width}}  {description(source)}")
 
 
 def _run(asked: Run, package: str) -> int:
