@@ -16,7 +16,6 @@ from twin.stack.estimation.ekf import (
     RATE,
     SIZE,
     SLIP,
-    TWIST,
     VELOCITY,
     YAW,
     MotionEkf,
@@ -43,7 +42,7 @@ def simulate(rng: np.random.Generator, duration: float):
     Yields: true state (12,), mean specific force (2,), mean rate, wheel velocity (3,).
     """
     imu, noise = Imu(), Noise()
-    ekf = MotionEkf(imu, np.zeros(3), SIGMA, noise)  # lends its covariance and slip law
+    ekf = MotionEkf(imu, np.zeros(3), SIGMA, noise)  # lends its covariance and its law of slip
     x = rng.multivariate_normal(np.zeros(SIZE), ekf.P)
     keep = np.exp(-DT / noise.slip_time)
     for k in range(round(duration / DT)):
@@ -59,15 +58,14 @@ def simulate(rng: np.random.Generator, duration: float):
         x[ACCEL_BIAS] += rng.normal(
             0, imu.accel_bias_stability * np.sqrt(2 * DT / imu.bias_time), 2
         )
-        ekf.x[:] = x
-        x[SLIP] = keep * x[SLIP] + ekf.slip_sigma() * np.sqrt(1 - keep**2) * rng.normal(size=3)
+        x[SLIP] = keep * x[SLIP] + np.sqrt(1 - keep**2) * rng.normal(size=3)
         force = accel + x[ACCEL_BIAS]
         force = force + rng.normal(
             0, np.hypot(imu.accel_noise, noise.vibration) / np.sqrt(2 * DT), 2
         )
         gyro = rate + x[GYRO_BIAS] + rng.normal(0, imu.gyro_noise / np.sqrt(2 * DT))
-        mean = x[TWIST] - 0.5 * DT * np.array([*change, 0.0])
-        yield x.copy(), force, gyro, mean + x[SLIP] + rng.normal(0, noise.wheel)
+        wheels = ekf.wheels_of(x) - 0.5 * DT * np.array([*change, 0.0])
+        yield x.copy(), force, gyro, wheels + rng.normal(0, noise.wheel)
 
 
 def test_error_lies_in_the_95_per_cent_band_of_the_covariance():
@@ -106,6 +104,17 @@ def test_jacobian_is_the_derivative_of_the_prediction(blind):
         h[j] = 1e-6
         numeric[:, j] = (predict(x0 + h).x - predict(x0 - h).x) / 2e-6
     np.testing.assert_allclose(predict(x0).F, numeric, atol=1e-7)
+
+
+def test_wheel_jacobian_is_the_derivative_of_what_the_wheels_report():
+    x0 = np.random.default_rng(4).normal(0, 0.5, SIZE)
+    ekf = MotionEkf(Imu(), np.zeros(3), SIGMA)
+    numeric = np.empty((3, SIZE))
+    for j in range(SIZE):
+        h = np.zeros(SIZE)
+        h[j] = 1e-6
+        numeric[:, j] = (ekf.wheels_of(x0 + h) - ekf.wheels_of(x0 - h)) / 2e-6
+    np.testing.assert_allclose(ekf.wheel_jacobian(x0), numeric, atol=1e-7)
 
 
 def test_gate_leaves_the_state_unchanged():

@@ -2,8 +2,8 @@
 
 As in Li & An 2025, section 2.3, measured acceleration drives the prediction and the wheels correct
 it; here the measured rate drives the yaw too. What the wheels report differs from the motion of the
-vehicle by a slip that changes slowly and grows with speed: it is part of the state, so a wheel that
-lies by a constant per cent is not taken for white noise.
+vehicle by a slip that changes slowly and grows with speed: it is part of the state, in units of its
+expected size, so a wheel that lies by a constant per cent is not taken for white noise.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ VELOCITY = slice(3, 5)  # m/s, of the base in base axes
 RATE = 5  # rad/s
 GYRO_BIAS = 6  # rad/s
 ACCEL_BIAS = slice(7, 9)  # m/s^2, in base axes
-SLIP = slice(9, 12)  # m/s, m/s, rad/s: what the wheels report minus the motion, in base axes
+SLIP = slice(9, 12)  # what the wheels report minus the motion, in units of `slip_size`
 SIZE = 12
 
 POSE = slice(0, 3)
@@ -31,13 +31,15 @@ TWIST = slice(3, 6)
 class Noise:
     """What the filter believes of the vehicle's motion and wheels."""
 
-    slip_floor: tuple[float, float, float] = (0.0005, 0.0005, 0.001)  # m/s, m/s, rad/s
-    slip_per_speed: tuple[float, float] = (0.01, 0.02)  # along x and y, of the planar speed
-    slip_turn: tuple[float, float] = (0.02, 0.01)  # of the turning rate; rad/m of planar speed
-    slip_lever: float = 0.005  # m/s of planar slip per rad/s of turning
-    slip_time: float = 2.0  # s, correlation time of the slip
-    wheel: tuple[float, float, float] = (0.004, 0.006, 0.015)  # m/s, m/s, rad/s: white
-    vibration: float = 0.01  # m/s^2/sqrt(Hz): tilt of the deck seen by the accelerometer
+    # Size of the slip of vx, vy (m/s) and omega (rad/s): constant, per m/s, per rad/s of turning.
+    slip: tuple[tuple[float, float, float], ...] = (
+        (0.002, 0.002, 0.002),
+        (0.002, 0.004, 0.002),
+        (0.005, 0.003, 0.015),
+    )
+    slip_time: float = 0.5  # s, correlation time of the slip
+    wheel: tuple[float, float, float] = (0.003, 0.004, 0.010)  # m/s, m/s, rad/s: white
+    vibration: float = 0.002  # m/s^2/sqrt(Hz): tilt of the deck seen by the accelerometer
     blind_accel: float = 1.0  # m/s^2/sqrt(Hz), while the inertial unit is silent
     blind_turn: float = 3.0  # rad/s^2/sqrt(Hz), likewise
     still: tuple[float, float, float] = (0.001, 0.001, 0.0002)  # m/s, m/s, rad/s
@@ -66,7 +68,7 @@ class MotionEkf(ExtendedKalmanFilter):
         start[TWIST] = 0.01, 0.01, 0.01  # it starts at rest; guess
         start[GYRO_BIAS] = imu.gyro_bias_start
         start[ACCEL_BIAS] = imu.accel_bias_start
-        start[SLIP] = self.noise.slip_floor
+        start[SLIP] = 1.0
         self.P = np.diag(start**2)
         self.acceleration = np.zeros(2)  # of the velocity in base axes, m/s^2
 
@@ -133,22 +135,17 @@ class MotionEkf(ExtendedKalmanFilter):
         drift = 2 * dt / imu.bias_time
         Q[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_stability**2 * drift
         Q[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_stability**2 * drift * np.eye(2)
-        slip = self.slip_sigma()
-        Q[SLIP, SLIP] += np.diag(slip**2) * (1 - np.exp(-2 * dt / n.slip_time))
+        Q[SLIP, SLIP] += np.eye(3) * (1 - np.exp(-2 * dt / n.slip_time))
         return Q
 
-    def slip_sigma(self) -> Array:
-        """Stationary standard deviation of the slip at the present speed. Shape (3,)."""
-        n = self.noise
-        speed, rate = float(np.hypot(*self.x[VELOCITY])), abs(self.x[RATE])
-        moving = np.array(
-            [
-                n.slip_per_speed[0] * speed + n.slip_lever * rate,
-                n.slip_per_speed[1] * speed + n.slip_lever * rate,
-                n.slip_turn[0] * rate + n.slip_turn[1] * speed,
-            ]
-        )
-        return np.hypot(n.slip_floor, moving)
+    def slip_size(self, x: Array) -> tuple[Array, Array]:
+        """Expected size of the slip, shape (3,), and its derivative by vx, vy, omega, (3, 3)."""
+        law = np.array(self.noise.slip)
+        speed = float(np.hypot(*x[VELOCITY]))
+        size = law @ (1.0, speed, abs(x[RATE]))
+        direction = x[VELOCITY] / max(speed, 1e-9)
+        by_twist = np.column_stack([np.outer(law[:, 1], direction), law[:, 2] * np.sign(x[RATE])])
+        return size, by_twist
 
     def update_wheels(self, velocity: Array, interval: float) -> bool:
         """Correct by the mean body velocity (3,) of the wheels over the interval that ends now.
@@ -156,28 +153,39 @@ class MotionEkf(ExtendedKalmanFilter):
         Returns:
             False if the reading lies outside the gate; the state is then unchanged.
         """
-        H = np.zeros((3, SIZE))
-        H[:, TWIST] = H[:, SLIP] = np.eye(3)
         # The mean over the interval lags behind the velocity at its end.
         lag = 0.5 * interval * np.array([*self.acceleration, 0.0])
         R = np.diag(np.square(self.noise.wheel))
-        return self._gated(velocity, H, lambda x: H @ x - lag, R)
+        return self._gated(velocity, self.wheel_jacobian, lambda x: self.wheels_of(x) - lag, R)
+
+    def wheels_of(self, x: Array) -> Array:
+        """Body velocity that the wheels report in a state: motion plus slip. Shape (3,)."""
+        return x[TWIST] + self.slip_size(x)[0] * x[SLIP]
+
+    def wheel_jacobian(self, x: Array) -> Array:
+        """Derivative of `wheels_of` by the state. Shape (3, 12)."""
+        size, by_twist = self.slip_size(x)
+        H = np.zeros((3, SIZE))
+        H[:, TWIST] = np.eye(3) + x[SLIP, None] * by_twist
+        H[:, SLIP] = np.diag(size)
+        return H
 
     def update_still(self) -> bool:
         """Correct by the knowledge that the vehicle stands; this teaches the biases."""
         H = np.zeros((3, SIZE))
         H[:, TWIST] = np.eye(3)
         R = np.diag(np.square(self.noise.still))
-        return self._gated(np.zeros(3), H, lambda x: H @ x, R)
+        return self._gated(np.zeros(3), lambda x: H, lambda x: H @ x, R)
 
     def loosen_slip(self) -> None:
         """Give up the belief in the wheels: they have been contradicted for too long."""
-        self.P[SLIP, SLIP] += np.diag([0.1, 0.1, 0.2]) ** 2
+        size = self.slip_size(self.x)[0]
+        self.P[SLIP, SLIP] += np.diag(np.array([0.1, 0.1, 0.2]) / size) ** 2
 
-    def _gated(self, z: Array, H: Array, h, R: Array) -> bool:
-        innovation = z - h(self.x)
+    def _gated(self, z: Array, jacobian, h, R: Array) -> bool:
+        H, innovation = jacobian(self.x), z - h(self.x)
         if innovation @ np.linalg.solve(H @ self.P @ H.T + R, innovation) > GATE:
             return False
-        self.update(z, lambda x: H, h, R)
+        self.update(z, jacobian, h, R)
         self.x[YAW] = wrap_angle(self.x[YAW])
         return True
