@@ -145,10 +145,10 @@ def _run(asked: Run, package: str) -> int:
     console = Console()
     console.print(report_table(report))
     for note in result.notes[-NOTES:]:
-        console.print(escape(note))
+        console.print(escape(note), soft_wrap=True)
     if len(result.notes) > NOTES:
         console.print(f"({len(result.notes) - NOTES} earlier notes are in report.json)")
-    console.print(escape(verdict(report)))
+    console.print(escape(verdict(report)), soft_wrap=True)
     console.print(escape(f"files in {folder.target}: {', '.join(files)}"), soft_wrap=True)
     return 0 if report["passed"] else 1
 
