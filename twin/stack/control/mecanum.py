@@ -17,6 +17,8 @@ Four wheels for three velocities: the forward problem is solved by least squares
 because the columns are orthogonal.
 """
 
+from functools import cache
+
 import numpy as np
 
 from twin.geometry import Array
@@ -25,6 +27,7 @@ from twin.stack.config import Wheels
 SIGNS = np.array([[1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])
 
 
+@cache  # the unit asks 500 times a second
 def _columns(wheels: Wheels) -> Array:
     """Rim travel for a unit of vx, vy, omega, without the signs. Shape (3,)."""
     c = np.sinc(1.0 / wheels.rollers)  # numpy's sinc is sin(pi x) / (pi x)

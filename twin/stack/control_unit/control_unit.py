@@ -42,6 +42,8 @@ class ControlUnit:
         self._decoder = CountDecoder(wheels.counts_per_turn * wheels.gear_ratio, PERIOD)
         self._pid = WheelPid(wheels.gear_ratio, PERIOD, motor, gains)
         self._start, self._calls = start, 0
+        self._command = BodyVelocity()
+        self._reference = np.zeros(4)  # rad/s, of that command
 
     def step(
         self, ticks: NDArray[np.uint16], body_velocity: BodyVelocity
@@ -50,7 +52,10 @@ class ControlUnit:
         stamp = self._start + self._calls * PERIOD
         self._calls += 1
         speed = self._decoder.update(ticks)
-        wanted = mecanum.within_limits(self._wheels, body_velocity.as_array())
-        pwm = self._pid.step(mecanum.wheel_speeds(self._wheels, wanted), speed)
+        if body_velocity is not self._command:  # a new one comes every fifth call at most
+            self._command = body_velocity
+            allowed = mecanum.within_limits(self._wheels, body_velocity.as_array())
+            self._reference = mecanum.wheel_speeds(self._wheels, allowed)
+        pwm = self._pid.step(self._reference, speed)
         measured = mecanum.body_velocity(self._wheels, speed)
         return pwm, WheelState(stamp, self._decoder.total, speed, measured)

@@ -41,4 +41,5 @@ class CountDecoder:
         span = len(self._history) - 1
         if span == 0:
             return np.zeros(4)
-        return (self._history[-1] - self._history[0]) * (self._angle / (span * self._period))
+        counts = (self._history[-1] - self._history[0]).astype(np.float64)
+        return counts * (self._angle / (span * self._period))
