@@ -24,7 +24,7 @@ lint: $(VENV)/.dev  ## Style, types, layers
 	$(BIN)/lint-imports
 
 bench: $(VENV)/.runtime  ## Time of each part of the loop
-	$(BIN)/python -m evaluation.benchmarks
+	$(BIN)/python -m evaluation.benchmarks.loop
 
 docs: $(VENV)/.runtime  ## Draw the README's figure of the frames
 	$(BIN)/python docs/frames.py

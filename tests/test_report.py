@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluation.ape import heading, pose_errors
-from evaluation.metrics import per_hour, percentile, ratio
 from evaluation.plots import plot_errors, plot_paths
 from evaluation.report import build_report, format_value, report_table, verdict, write_report
 from evaluation.run import Criterion, RunRequest, RunResult
@@ -160,12 +159,6 @@ def test_table_names_each_metric_and_criterion_once():
 
 def test_values_are_shown_short():
     assert [format_value(v) for v in (20.0, 0.012345, 612.345)] == ["20", "0.01235", "612.3"]
-
-
-def test_statistics_of_nothing_are_nan():
-    assert math.isnan(percentile([], 95)) and math.isnan(ratio(1, 0)) and math.isnan(per_hour(1, 0))
-    assert percentile([0.0, 1.0], 95) == pytest.approx(0.95)
-    assert per_hour(20, 120) == pytest.approx(600)
 
 
 # --- plots ----------------------------------------------------------------------------------------
