@@ -6,20 +6,20 @@ are set here, so that every model keeps to them whatever its own file says.
 
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transform
-from twin.layout import Layout, LayoutError, Line, Pose2, models_dir
+from twin.layout import Layout, Line, Pose2, models_dir
 from twin.messages import PART_CLASSES
 from twin.plant.as_built import AsBuilt
+from twin.plant.hall import FLOOR, STANDING, hall
+from twin.plant.model_files import load_model
 
-FLOOR, STANDING, VEHICLE, ARM, PART = 1, 2, 4, 8, 16
+VEHICLE, ARM, PART = 4, 8, 16  # bits of the collision masks, beside FLOOR and STANDING
 POOL = 9  # parts of each class in the feeder's store
 WHEELS = ("fl", "fr", "rl", "rr")
-WALL_HEIGHT = 1.1  # m, a cell's partition
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def build(
         LayoutError: a model file is missing, or names a file outside the folder of the models.
     """
     root = models or models_dir()
-    spec = _hall(layout)
+    spec = hall(layout)
     line = load_model(root, "line/line.xml")
     _resize_line(line, layout.site.line)
     line.geom("belt").friction[0] = layout.world.line.friction
@@ -62,123 +62,6 @@ def build(
         _attach(spec, station, pose, f"{name}/", MASKS["line"])
     _attach_vehicle(spec, root, layout.site.dock, as_built)
     _attach_parts(spec, root, pool)
-    return spec
-
-
-def load_model(root: Path, name: str) -> mujoco.MjSpec:
-    """One model file, after a check that all it names lies inside `root`.
-
-    Raises:
-        LayoutError: one line naming the file and what is wrong with it.
-    """
-    path = root / name
-    _check_files(path, root.resolve())
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise LayoutError(f"{path}: {str(error).splitlines()[0]}") from None
-
-
-def _check_files(path: Path, root: Path) -> None:
-    try:
-        tree = ElementTree.parse(path).getroot()
-    except OSError:
-        raise LayoutError(f"{path}: model file is missing") from None
-    except ElementTree.ParseError as error:
-        raise LayoutError(f"{path}: not an MJCF file ({error})") from None
-    compiler = tree.find("compiler")
-    folders = {} if compiler is None else compiler.attrib
-    assets = folders.get("assetdir", "")
-    for element in tree.iter():
-        file = element.get("file")
-        if file is None:
-            continue
-        by_kind = {"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, "")
-        folder = "" if element.tag in ("include", "model") else folders.get(by_kind, assets)
-        target = (path.parent / folder / file).resolve()
-        if not target.is_relative_to(root):
-            raise LayoutError(f"{path}: '{file}' lies outside the models' folder {root}")
-        if not target.is_file():
-            raise LayoutError(f"{path}: '{file}' is missing")
-        if element.tag in ("include", "model"):
-            _check_files(target, root)
-
-
-def _hall(layout: Layout) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.modelname = "cell"
-    spec.compiler.degree = False
-    spec.option.timestep = 0.002
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 10
-    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    spec.memory = 32 * 2**20
-    spec.copy_during_attach = True  # one connector file makes many parts
-    # Software rendering: no shadows, no multisampling, few slices.
-    quality = spec.visual.quality
-    quality.shadowsize, quality.offsamples = 0, 0
-    quality.numslices, quality.numstacks = 16, 8
-    spec.visual.map.znear, spec.visual.map.zfar = 0.005, 30.0
-    spec.stat.extent, spec.stat.center = 4.0, (2.8, 2.0, 0.5)
-    spec.visual.headlight.ambient = (0.34, 0.34, 0.34)
-    spec.visual.headlight.diffuse = (0.12, 0.12, 0.12)
-    spec.visual.headlight.specular = (0.05, 0.05, 0.05)
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=(0.80, 0.84, 0.88),
-        rgb2=(0.55, 0.60, 0.66),
-        width=64,
-        height=384,
-    )
-    for name, rgba in (
-        ("floor", (0.50, 0.51, 0.52, 1)),
-        ("wall", (0.72, 0.74, 0.75, 1)),
-    ):
-        spec.add_material(name=name, rgba=rgba, specular=0.03, shininess=0.05)
-
-    world = spec.worldbody
-    (x0, x1), (y0, y1) = layout.site.hall.x, layout.site.hall.y
-    cx, cy, hx, hy = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
-    for direction in ((-0.35, 0.25, -0.9), (0.5, -0.3, -0.8)):  # two rows of lamps
-        world.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=(cx, cy, 4.0),
-            dir=direction,
-            diffuse=(0.36, 0.36, 0.35),
-            specular=(0.25, 0.25, 0.25),
-            castshadow=False,
-        )
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=(cx, cy, 0),
-        size=(hx, hy, 0.1),
-        material="floor",
-        group=0,
-        contype=FLOOR | STANDING,
-        conaffinity=0,
-        friction=(0.5, 0.005, 0.0001),
-    )
-    t, h = 0.03, WALL_HEIGHT / 2
-    for name, pos, size in (
-        ("west", (x0 - t, cy, h), (t, hy + 2 * t, h)),
-        ("east", (x1 + t, cy, h), (t, hy + 2 * t, h)),
-        ("south", (cx, y0 - t, h), (hx, t, h)),
-        ("north", (cx, y1 + t, h), (hx, t, h)),
-    ):
-        world.add_geom(
-            name=f"wall_{name}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=pos,
-            size=size,
-            material="wall",
-            group=0,
-            contype=STANDING,
-            conaffinity=0,
-        )
     return spec
 
 
