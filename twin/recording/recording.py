@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin.recording.log import ReadingsLog
-from twin.recording.scene import Scene
 from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import StackConfig
 
 if TYPE_CHECKING:
     from twin.loop import Tick
+    from twin.plant.world import World
 
 
 class Recording:
@@ -17,12 +17,12 @@ class Recording:
 
     Args:
         folder: receives both files.
-        scene: the cell.
+        world: the cell.
         config: what the stack was told.
     """
 
-    def __init__(self, folder: Path, scene: Scene, config: StackConfig):
-        self.viewer = ViewerLog(folder / "recording.rrd", scene, config)
+    def __init__(self, folder: Path, world: "World", config: StackConfig):
+        self.viewer = ViewerLog(folder / "recording.rrd", world, config)
         self.log = ReadingsLog(folder / "readings.log", config.site, config.options)
 
     def observe(self, tick: "Tick") -> None:

@@ -1,7 +1,7 @@
 """The cell's shapes as rerun entities: drawn once, then moved body by body."""
 
 from collections.abc import Iterable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -9,45 +9,13 @@ from numpy.typing import NDArray
 
 from twin.geometry import Array, rotation_from_quat
 
+if TYPE_CHECKING:  # the plant brings the simulator, which a reader of recordings may not have
+    from twin.plant.shapes import Shape
+
 GROUPS = {0: "hall", 1: "line", 2: "vehicle", 4: "parts"}
 
 
-class Shape(Protocol):
-    """One primitive on a body; half sizes, capsule and cylinder along z (`plant.shapes.Shape`)."""
-
-    @property
-    def body(self) -> int: ...
-    @property
-    def body_name(self) -> str: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def size(self) -> Array: ...
-    @property
-    def position(self) -> Array: ...
-    @property
-    def quat_wxyz(self) -> Array: ...
-    @property
-    def rgba(self) -> Array: ...
-    @property
-    def group(self) -> int: ...
-    @property
-    def vertices(self) -> Array | None: ...
-    @property
-    def faces(self) -> NDArray[np.int32] | None: ...
-
-
-class Scene(Protocol):
-    """What a recorder must know of the plant; `plant.world.World` is one."""
-
-    @property
-    def time(self) -> float: ...
-    @property
-    def shapes(self) -> Sequence[Shape]: ...
-    def body_poses(self) -> tuple[Array, Array]: ...
-
-
-def body_entities(shapes: Iterable[Shape]) -> dict[int, str]:
+def body_entities(shapes: Iterable["Shape"]) -> dict[int, str]:
     """Entity of each body that can be seen."""
     return {
         s.body: f"world/{GROUPS.get(s.group, 'other')}/{s.body_name.replace('/', '_') or s.body}"
@@ -55,7 +23,7 @@ def body_entities(shapes: Iterable[Shape]) -> dict[int, str]:
     }
 
 
-def draw(recording: rr.RecordingStream, shapes: Sequence[Shape]) -> None:
+def draw(recording: rr.RecordingStream, shapes: Sequence["Shape"]) -> None:
     """Log all shapes once, each in its body's frame."""
     entities = body_entities(shapes)
     by_kind: dict[tuple[int, str], list[Shape]] = {}
@@ -72,7 +40,7 @@ def draw(recording: rr.RecordingStream, shapes: Sequence[Shape]) -> None:
             recording.log(f"{entity}{i}", placed, _mesh(shape), static=True)
 
 
-def _primitives(kind: str, shapes: Sequence[Shape]):
+def _primitives(kind: str, shapes: Sequence["Shape"]):
     size = np.array([s.size for s in shapes])
     center = np.array([s.position for s in shapes])
     common = {
@@ -99,7 +67,7 @@ def _primitives(kind: str, shapes: Sequence[Shape]):
     return rr.Boxes3D(half_sizes=size, centers=center, **common)
 
 
-def _mesh(shape: Shape) -> rr.Mesh3D:
+def _mesh(shape: "Shape") -> rr.Mesh3D:
     """A mesh with a normal at each vertex, or it would not be shaded."""
     assert shape.vertices is not None and shape.faces is not None
     a, b, c = (shape.vertices[shape.faces[:, i]] for i in range(3))
@@ -115,7 +83,7 @@ def _mesh(shape: Shape) -> rr.Mesh3D:
     )
 
 
-def _colour(shape: Shape) -> NDArray[np.uint8]:
+def _colour(shape: "Shape") -> NDArray[np.uint8]:
     return np.round(255 * np.asarray(shape.rgba)).astype(np.uint8)
 
 

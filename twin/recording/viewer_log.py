@@ -12,11 +12,12 @@ from twin.layout import FOOTPRINT
 from twin.messages import CameraFrame, GripperReading, LidarScan, RgbdFrame, StackState
 from twin.recording.blueprint import blueprint
 from twin.recording.columns import Columns
-from twin.recording.scene import Scene, body_entities, draw
+from twin.recording.scene import body_entities, draw
 from twin.stack.config import Camera, StackConfig
 
 if TYPE_CHECKING:  # the loop brings the plant with it, which a reader of recordings may not have
     from twin.loop import Tick
+    from twin.plant.world import World
 
 POSE_PERIOD = 0.05  # s
 PATH_PERIOD = 0.2  # s
@@ -30,16 +31,16 @@ class ViewerLog:
 
     Args:
         path: file to write.
-        scene: the cell, for its shapes and where they are.
+        world: the cell, for its shapes and where they are.
         config: what the stack was told of vehicle and site.
     """
 
-    def __init__(self, path: Path, scene: Scene, config: StackConfig):
-        self._scene = scene
+    def __init__(self, path: Path, world: "World", config: StackConfig):
+        self._world = world
         self._out = rr.RecordingStream("twin")
         self._out.save(path, default_blueprint=blueprint(config.site))
         self._columns = Columns(self._out)
-        self._entities = body_entities(scene.shapes)
+        self._entities = body_entities(world.shapes)
         self._bodies = np.array(list(self._entities))
         self._shown = np.full((len(self._bodies), 7), np.nan)  # poses last logged
         self._next = {"pose": 0.0, "path": 0.0, "flush": 0.0}
@@ -88,7 +89,7 @@ class ViewerLog:
 
     def _draw(self, config: StackConfig) -> None:
         self._out.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        draw(self._out, self._scene.shapes)
+        draw(self._out, self._world.shapes)
         box = rr.Boxes3D(
             half_sizes=[(FOOTPRINT[0] / 2, FOOTPRINT[1] / 2, 0.005)], colors=[0, 130, 200]
         )
@@ -119,12 +120,12 @@ class ViewerLog:
     # --- every now and then ---------------------------------------------------------------------
 
     def _poses(self, tick: "Tick") -> None:
-        position, quat = self._scene.body_poses()
+        position, quat = self._world.body_poses()
         poses = np.column_stack([position, quat])[self._bodies]
         moved = ~(np.abs(poses - self._shown).max(axis=1) < 1e-4)
         for body, pose in zip(self._bodies[moved], poses[moved], strict=True):
             # Where the bodies are now: the tick's stamp is from before its physics steps.
-            self._columns.pose(self._entities[int(body)], self._scene.time, pose)
+            self._columns.pose(self._entities[int(body)], self._world.time, pose)
         self._shown[moved] = poses[moved]
 
         t, state, true = tick.stamp, tick.state, np.asarray(tick.truth.pose)
