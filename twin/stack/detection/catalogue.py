@@ -32,9 +32,7 @@ def _round(axis: str, start: float, end: float, diameter: float, height: float) 
     return _prism(axis, start, end, section, height)
 
 
-def _nut(
-    axis: str, start: float, end: float, flats: float, turned: float, height: float
-) -> Array:
+def _nut(axis: str, start: float, end: float, flats: float, turned: float, height: float) -> Array:
     """Hexagon lying on a flat, its corners turned down to a diameter."""
     flat, corner = flats / 2, turned / 2
     half_flat = 2 * corner - np.sqrt(3) * flat
@@ -82,7 +80,7 @@ def _adapter_n(sma_male: bool) -> PartDrawing:
     """N male to SMA; the N face at 0, the rest on -x. Gripped across the N nut's corners."""
     z = N_FLATS / 2
     solids = [
-        _round("x", -1.2, 0, 18.4, z),
+        _round("x", -1.2, 0, 19.0, z),
         _nut("x", -17, -1.2, N_FLATS, N_TURNED, z),
         _round("x", -18, -17, 17.2, z),
         _round("x", -21, -18, 15.0, z),
@@ -101,7 +99,7 @@ def _adapter_n(sma_male: bool) -> PartDrawing:
 def _adapter_tnc() -> PartDrawing:
     z = TNC_FLATS / 2
     solids = [
-        _round("x", -1, 0, 13.8, z),
+        _round("x", -1, 0, 14.2, z),
         _nut("x", -13, -1, TNC_FLATS, TNC_TURNED, z),
         _round("x", -17, -13, 10.5, z),
         _round("x", -26, -17, SMA_THREAD, z),
@@ -116,7 +114,7 @@ def _tee_male() -> PartDrawing:
     for axis, sign in (("x", 1), ("x", -1), ("y", 1)):
         ends = sorted((sign * 11.0, sign * 18.8))
         solids.append(_nut(axis, *ends, N_FLATS, N_TURNED, z))
-        solids.append(_round(axis, *sorted((sign * 18.8, sign * 20.0)), 18.4, z))
+        solids.append(_round(axis, *sorted((sign * 18.8, sign * 20.0)), 19.0, z))
     return _drawing((0, 2.75), solids, (0, 2.75, 9.5), 31.0, 0.0801)
 
 

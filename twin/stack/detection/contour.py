@@ -1,0 +1,136 @@
+"""Connectors on the belt: from one picture to classes and poses in the vehicle's base frame.
+
+Crop, Gaussian blur, morphological closing, edge, contour, centroid and axis (Li & An 2025, section
+3.1). The edge is where the brightness falls to half of what it is inside the part, next to the edge;
+that is where a blurred edge truly lies, so the outline is neither too fat nor too thin.
+"""
+
+import cv2
+import numpy as np
+
+from twin.geometry import Array, between2, rot2
+from twin.messages import CameraFrame, Detection
+from twin.stack.config import StackConfig
+from twin.stack.detection.classify import Classifier
+from twin.stack.detection.silhouette import projection
+
+X_WINDOW = (0.33, 0.80)  # m in base: beyond, a part is too near to an arm or too small
+Y_WINDOW = (0.20, 0.80)
+EDGE_MARGIN = 0.004  # m, kept from the belt's edges
+BLUR = 0.3  # px
+CONTRAST = 22  # grey values above the belt that may be a part
+SHADE = 12  # grey values below the belt that are a bore
+NEAR = np.ones((3, 3), np.uint8)  # one pixel about
+LEVEL = 0.42  # of the brightness one pixel about: the edge of a blurred step (tuned on renders)
+CLOSING = 5  # px: bridges threads, and the line where the bore's rim is as dark as the belt
+MIN_AREA, MAX_AREA = 90, 6000  # px
+MARGIN = 8  # px around a blob
+MIN_IOU = 0.78  # below, it is no connector, or not one alone
+
+
+class ContourDetector:
+    """Finds the parts on the belt in frames of the mast camera.
+
+    Args:
+        config: the drawing of vehicle, site and parts.
+    """
+
+    def __init__(self, config: StackConfig):
+        self._line = config.site.line
+        self._P = projection(config.camera)
+        self._size = (config.camera.height, config.camera.width)
+        self._classifier = Classifier(config.parts, self._line.height)
+        self._close = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (CLOSING, CLOSING))
+
+    def detect(self, frame: CameraFrame, pose: Array) -> tuple[Detection, ...]:
+        """Parts that lie wholly inside the window.
+
+        Args:
+            frame: one picture.
+            pose: estimated pose of the base in world at exposure, (3,).
+        """
+        polygon = self.window(pose)
+        if len(polygon) < 3:
+            return ()
+        corners = np.rint(polygon).astype(np.int32)
+        u0, v0, width, height = cv2.boundingRect(corners)
+        inside = np.zeros((height, width), np.uint8)
+        cv2.fillConvexPoly(inside, corners - (u0, v0), 1)
+        crop = np.ascontiguousarray(frame.image[v0 : v0 + height, u0 : u0 + width])
+        crop = cv2.GaussianBlur(crop, (0, 0), BLUR)
+        samples = crop[::6, ::6][inside[::6, ::6] > 0]
+        if samples.size == 0:
+            return ()
+        belt = np.median(samples, axis=0)
+        # Metal is brighter than the belt in red, where nickel and gold look alike; the bore of a
+        # coupling nut is darker, and the green belt shows that best in green.
+        above = cv2.subtract(crop[:, :, 0], float(belt[0]))  # type: ignore[call-overload]
+        below = cv2.subtract(float(belt[1]), crop[:, :, 1])  # type: ignore[call-overload]
+        candidates = ((above > CONTRAST) | (below > SHADE)).astype(np.uint8) & inside
+        contours, _ = cv2.findContours(candidates, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        free = cv2.erode(inside, NEAR, borderValue=0)
+        found = []
+        for contour in contours:
+            if not MIN_AREA < cv2.contourArea(contour) < MAX_AREA:
+                continue
+            if not free[contour[:, 0, 1], contour[:, 0, 0]].all():
+                continue  # partly outside the window
+            detection = self._measure(above, below, cv2.boundingRect(contour), (u0, v0))
+            if detection is not None:
+                found.append(detection)
+        return tuple(found)
+
+    def window(self, pose: Array) -> Array:
+        """The part of the belt that is looked at, as a polygon in the image. Shape (k, 2)."""
+        line = self._line
+        x, y, yaw = between2(pose, (*line.origin, line.direction))
+        half = line.width / 2 - EDGE_MARGIN
+        belt = [(0.0, -half), (line.length, -half), (line.length, half), (0.0, half)]
+        belt = np.array(belt) @ rot2(float(yaw)).T + (x, y)
+        view = [(a, b) for a, b in zip(np.repeat(X_WINDOW, 2), Y_WINDOW + Y_WINDOW[::-1],
+                                       strict=True)]  # fmt: skip
+        area, shape = cv2.intersectConvexConvex(belt.astype(np.float32), np.float32(view))
+        if area < 1e-3 or shape is None:
+            return np.empty((0, 2))
+        p_base = np.column_stack(
+            [shape[:, 0], np.full(len(shape), line.height), np.ones(len(shape))]
+        )
+        uvw = p_base @ self._P.T
+        if (uvw[:, 2] < 0.05).any():
+            return np.empty((0, 2))
+        uv = (uvw[:, :2] / uvw[:, 2:]).astype(np.float32)
+        height, width = self._size
+        image = np.float32([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)])
+        area, shape = cv2.intersectConvexConvex(uv, image)
+        return np.empty((0, 2)) if area < 100 or shape is None else shape[:, 0].astype(float)
+
+    def _measure(self, above, below, box, offset) -> Detection | None:
+        """Outline, class and pose of one blob of the cropped picture."""
+        left, top, width, height = box
+        u0, v0 = max(0, left - MARGIN), max(0, top - MARGIN)
+        area = np.s_[v0 : top + height + MARGIN, u0 : left + width + MARGIN]
+        # The edge: half of the part's own brightness beside it, not of the brightest spot anywhere.
+        bright = np.maximum(cv2.dilate(above[area], NEAR) * LEVEL, CONTRAST / 2)
+        part = ((above[area] > bright) | (below[area] > SHADE)).astype(np.uint8)
+        part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, self._close)
+        contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        if not contours:
+            return None
+        contour = max(contours, key=len)
+        seen = np.zeros_like(part)
+        cv2.drawContours(seen, [contour], -1, 1, cv2.FILLED)
+        corner = (u0 + offset[0], v0 + offset[1])
+        fit = self._classifier.classify(seen, corner, self._P)
+        if fit is None or fit.iou < MIN_IOU:
+            return None
+        m = cv2.moments(seen, binaryImage=True)
+        centroid = np.array([m["m10"], m["m01"]]) / m["m00"] + corner
+        return Detection(
+            part_class=fit.part_class,
+            confidence=fit.confidence,
+            p_base=np.array([fit.pose[0], fit.pose[1], self._line.height]),
+            yaw=float(fit.pose[2]),
+            contour_px=contour[:, 0, :].astype(float) + corner,
+            centroid_px=centroid,
+            symmetric=fit.symmetric,
+        )
