@@ -22,6 +22,8 @@ BIN_LENGTH = 0.45  # m past the end of the belt
 AT_REST = 0.05  # m/s
 CHECK_PERIOD = 0.05  # s between looks at the bin
 
+Source = Literal["store", "bin", "belt"]
+
 
 @dataclass(frozen=True)
 class FeedEvent:
@@ -31,7 +33,7 @@ class FeedEvent:
     kind: Literal["fed", "passed"]
     part: str  # name of the body
     part_class: PartClass
-    source: Literal["store", "bin", "belt"]
+    source: Source
     yaw: float = float("nan")  # in world, rad
     lateral: float = float("nan")  # m left of the centre line, looking downstream
 
@@ -101,17 +103,17 @@ class Feeder:
         return least + self._rng.exponential(max(mean - least, 0.0))
 
     def _feed(self, now: float, speed: float) -> None:
-        free = {c: [] for c in PART_CLASSES}
+        free: dict[PartClass, list[str]] = {c: [] for c in PART_CLASSES}
         for name in self._parts:
             if name in self._stored or self._in_bin(name):
                 free[class_of(name)].append(name)
-        classes = [c for c in PART_CLASSES if free[c]]
+        classes: list[PartClass] = [c for c in PART_CLASSES if free[c]]
         if not classes:
             return
         part_class = classes[self._rng.integers(len(classes))]
         # From the bin first: it stays nearly empty, and a pile costs time.
         part = min(free[part_class], key=lambda name: name in self._stored)
-        source = "store" if part in self._stored else "bin"
+        source: Source = "store" if part in self._stored else "bin"
         yaw = self._rng.uniform(-np.pi, np.pi)
         lateral = self._rng.uniform(-self._settings.lateral, self._settings.lateral)
         along = rot2(self._line.direction)

@@ -69,4 +69,4 @@ class MastCamera:
         stretch = self._bank[offset : offset + noise.size].reshape(noise.shape)
         noise = cv2.multiply(noise, stretch, dst=noise)
         image = cv2.multiply(light, self._fall_off, dtype=cv2.CV_32F)
-        return CameraFrame(stamp, cv2.add(image, noise, dtype=cv2.CV_8U))
+        return CameraFrame(stamp, np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8))

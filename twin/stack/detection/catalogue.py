@@ -16,6 +16,7 @@ N_FLATS, N_TURNED = 19.05, 20.5  # coupling nuts: across flats, turned diameter 
 TNC_FLATS, TNC_TURNED = 14.29, 15.4
 SMA_FLATS, SMA_TURNED = 7.94, 8.8
 SMA_THREAD, N_THREAD = 6.55, 15.88
+BRANCHES = (("x", 1), ("x", -1), ("y", 1))  # of a tee
 
 
 def _prism(axis: str, start: float, end: float, section: Array, height: float) -> Array:
@@ -44,8 +45,10 @@ def _nut(axis: str, start: float, end: float, flats: float, turned: float, heigh
 
 
 def _block(low, high) -> Array:
-    return np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1])
-                     for z in (low[2], high[2])], dtype=float)  # fmt: skip
+    corners = [
+        (x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])
+    ]
+    return np.array(corners, dtype=float)
 
 
 def _drawing(
@@ -111,18 +114,17 @@ def _tee_male() -> PartDrawing:
     """Gripped along the stem: between the stem's face and the flat back of the body."""
     z = N_FLATS / 2
     solids = [_block((-11, -11, z - 8), (11, 11, z + 8))]
-    for axis, sign in (("x", 1), ("x", -1), ("y", 1)):
-        ends = sorted((sign * 11.0, sign * 18.8))
-        solids.append(_nut(axis, *ends, N_FLATS, N_TURNED, z))
-        solids.append(_round(axis, *sorted((sign * 18.8, sign * 20.0)), 19.0, z))
+    for axis, sign in BRANCHES:
+        solids.append(_nut(axis, sign * 11, sign * 18.8, N_FLATS, N_TURNED, z))
+        solids.append(_round(axis, sign * 18.8, sign * 20, 19.0, z))
     return _drawing((0, 2.75), solids, (0, 2.75, 9.5), 31.0, 0.0801)
 
 
 def _tee_female() -> PartDrawing:
     z = 8.0
     solids = [_block((-8, -8, 0), (8, 8, 16))]
-    for axis, sign in (("x", 1), ("x", -1), ("y", 1)):
-        solids.append(_round(axis, *sorted((sign * 8.0, sign * 20.0)), N_THREAD, z))
+    for axis, sign in BRANCHES:
+        solids.append(_round(axis, sign * 8, sign * 20, N_THREAD, z))
     return _drawing((0, 3.23), solids, (0, 3.23, 9.0), 28.0, 0.0683)
 
 

@@ -1,9 +1,9 @@
 """Class and pose of one silhouette, by comparing it with the outlines of the drawings.
 
-Every class is drawn at every yaw in steps of 15 degrees where the silhouette's centroid puts it, and
-ranked by intersection over union (Li & An 2025, section 3.1, name IoU as the last step of their
-contour detection). The best few are then fitted: Gauss-Newton on the moments of the silhouette up to
-the third order, which takes parallax out, since the drawn outline has the same parallax.
+Every class is drawn at every yaw in steps of 15 degrees where the silhouette's centroid puts it,
+and ranked by intersection over union (Li & An 2025, section 3.1, name IoU as the last step of their
+contour detection). The best few are then fitted: Gauss-Newton on the moments of the silhouette up
+to the third order, which takes parallax out, since the drawn outline has the same parallax.
 """
 
 from collections.abc import Mapping
@@ -47,8 +47,10 @@ class Classifier:
     """
 
     def __init__(self, drawings: Mapping[PartClass, PartDrawing], plane_z: float):
-        self._drawings = dict(drawings)
-        self._outlines = {name: Outline.of(d) for name, d in drawings.items()}
+        self._drawings: dict[PartClass, PartDrawing] = dict(drawings)
+        self._outlines: dict[PartClass, Outline] = {
+            name: Outline.of(d) for name, d in drawings.items()
+        }
         self._plane_z = plane_z
 
     def classify(self, seen: NDArray[np.uint8], corner: tuple[int, int], P: Array) -> Fit | None:
@@ -67,36 +69,34 @@ class Classifier:
         best = ranked[0][0]
         fits: dict[PartClass, tuple[float, Array]] = {}
         flipped: dict[PartClass, float] = {}
-        for iou, name, pose in ranked[: 2 * MAX_FITTED]:
+        for iou, candidate, pose in ranked[: 2 * MAX_FITTED]:
             if iou < best - KEPT:
                 break
-            if name not in fits and len(fits) == MAX_FITTED:
+            if candidate not in fits and len(fits) == MAX_FITTED:
                 continue
-            outline = self._outlines[name]
+            outline = self._outlines[candidate]
             fitted, score = fit(
                 outline.points, outline.starts, pose, self._plane_z, P, seen, target, STEP,
                 ITERATIONS,
             )  # fmt: skip
             fitted[2] = wrap_angle(fitted[2])
-            known = fits.get(name)
+            known = fits.get(candidate)
             if known is None or score > known[0]:
                 if known is not None and _half_turn(known[1], fitted):
-                    flipped[name] = known[0]
-                fits[name] = score, fitted
+                    flipped[candidate] = known[0]
+                fits[candidate] = score, fitted
             elif _half_turn(known[1], fitted):
-                flipped[name] = max(score, flipped.get(name, 0.0))
-        name = max(fits, key=lambda n: fits[n][0])
+                flipped[candidate] = max(score, flipped.get(candidate, 0.0))
+        name: PartClass = max(fits, key=lambda n: fits[n][0])
         iou, pose = fits[name]
         scores = [s for s, _ in fits.values()]
-        scores += [max(r[0] for r in ranked if r[1] == n) for n in self._of(ranked) - set(fits)]
+        scores += [
+            max(r[0] for r in ranked if r[1] == n) for n in {r[1] for r in ranked} - set(fits)
+        ]
         weight = np.exp(SHARPNESS * (np.array(scores) - iou))
         alike = flipped.get(name, 0.0) > iou - 0.01
         symmetric = self._drawings[name].symmetric or alike
         return Fit(name, pose, iou, float(1.0 / weight.sum()), symmetric)
-
-    @staticmethod
-    def _of(ranked) -> set[PartClass]:
-        return {name for _, name, _ in ranked}
 
     def _rank(self, seen, P) -> list[tuple[float, PartClass, Array]]:
         """Local maxima over yaw of each class, best IoU first; at half the resolution."""
@@ -104,7 +104,7 @@ class Classifier:
         half = (half > 127).astype(np.uint8)
         P = shifted(P, 0, 0, 2.0)
         target = moments(half)
-        found = []
+        found: list[tuple[float, PartClass, Array]] = []
         for name, outline in self._outlines.items():
             z = self._plane_z + self._drawings[name].height / 2
             x, y = ground_point(P, target[1], target[2], z)

@@ -1,8 +1,8 @@
 """Connectors on the belt: from one picture to classes and poses in the vehicle's base frame.
 
 Crop, Gaussian blur, morphological closing, edge, contour, centroid and axis (Li & An 2025, section
-3.1). The edge is where the brightness falls to half of what it is inside the part, next to the edge;
-that is where a blurred edge truly lies, so the outline is neither too fat nor too thin.
+3.1). The edge is where the brightness falls to about half of what the part shows beside it: there a
+blurred edge truly lies, so the outline of a bright face is no fatter than that of a dark one.
 """
 
 import cv2
@@ -64,16 +64,17 @@ class ContourDetector:
         belt = np.median(samples, axis=0)
         # Metal is brighter than the belt in red, where nickel and gold look alike; the bore of a
         # coupling nut is darker, and the green belt shows that best in green.
-        above = cv2.subtract(crop[:, :, 0], float(belt[0]))  # type: ignore[call-overload]
-        below = cv2.subtract(float(belt[1]), crop[:, :, 1])  # type: ignore[call-overload]
+        above = cv2.subtract(crop[:, :, 0], np.full_like(crop[:, :, 0], belt[0]))
+        below = cv2.subtract(np.full_like(crop[:, :, 1], belt[1]), crop[:, :, 1])
         candidates = ((above > CONTRAST) | (below > SHADE)).astype(np.uint8) & inside
         contours, _ = cv2.findContours(candidates, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        free = cv2.erode(inside, NEAR, borderValue=0)
+        free = np.asarray(cv2.erode(inside, NEAR, borderValue=0))
         found = []
-        for contour in contours:
+        for contour in map(np.asarray, contours):
             if not MIN_AREA < cv2.contourArea(contour) < MAX_AREA:
                 continue
-            if not free[contour[:, 0, 1], contour[:, 0, 0]].all():
+            u, v = contour[:, 0, 0].astype(int), contour[:, 0, 1].astype(int)
+            if not free[v, u].all():
                 continue  # partly outside the window
             detection = self._measure(above, below, cv2.boundingRect(contour), (u0, v0))
             if detection is not None:
@@ -86,23 +87,20 @@ class ContourDetector:
         x, y, yaw = between2(pose, (*line.origin, line.direction))
         half = line.width / 2 - EDGE_MARGIN
         belt = [(0.0, -half), (line.length, -half), (line.length, half), (0.0, half)]
-        belt = np.array(belt) @ rot2(float(yaw)).T + (x, y)
-        view = [(a, b) for a, b in zip(np.repeat(X_WINDOW, 2), Y_WINDOW + Y_WINDOW[::-1],
-                                       strict=True)]  # fmt: skip
-        area, shape = cv2.intersectConvexConvex(belt.astype(np.float32), np.float32(view))
-        if area < 1e-3 or shape is None:
-            return np.empty((0, 2))
-        p_base = np.column_stack(
-            [shape[:, 0], np.full(len(shape), line.height), np.ones(len(shape))]
-        )
+        belt = np.array(belt) @ rot2(float(yaw)).T + np.array([x, y])
+        (x0, x1), (y0, y1) = X_WINDOW, Y_WINDOW
+        view = np.array([(x0, y0), (x0, y1), (x1, y1), (x1, y0)])
+        shape = _intersection(belt, view)
+        if len(shape) < 3:
+            return shape
+        ones = np.ones(len(shape))
+        p_base = np.column_stack([shape, line.height * ones, ones])
         uvw = p_base @ self._P.T
         if (uvw[:, 2] < 0.05).any():
             return np.empty((0, 2))
-        uv = (uvw[:, :2] / uvw[:, 2:]).astype(np.float32)
         height, width = self._size
-        image = np.float32([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)])
-        area, shape = cv2.intersectConvexConvex(uv, image)
-        return np.empty((0, 2)) if area < 100 or shape is None else shape[:, 0].astype(float)
+        image = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)])
+        return _intersection(uvw[:, :2] / uvw[:, 2:], image)
 
     def _measure(self, above, below, box, offset) -> Detection | None:
         """Outline, class and pose of one blob of the cropped picture."""
@@ -117,7 +115,7 @@ class ContourDetector:
         if not contours:
             return None
         contour = max(contours, key=len)
-        seen = np.zeros_like(part)
+        seen = np.zeros(part.shape, np.uint8)
         cv2.drawContours(seen, [contour], -1, 1, cv2.FILLED)
         corner = (u0 + offset[0], v0 + offset[1])
         fit = self._classifier.classify(seen, corner, self._P)
@@ -134,3 +132,9 @@ class ContourDetector:
             centroid_px=centroid,
             symmetric=fit.symmetric,
         )
+
+
+def _intersection(first: Array, second: Array) -> Array:
+    """Common part of two convex polygons; empty where they do not meet. Shape (k, 2)."""
+    _, shape = cv2.intersectConvexConvex(first.astype(np.float32), second.astype(np.float32))
+    return np.empty((0, 2)) if shape is None else np.asarray(shape, float).reshape(-1, 2)

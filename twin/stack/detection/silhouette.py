@@ -1,7 +1,7 @@
 """What a connector's outline would look like: drawing and pose to a filled mask and its moments.
 
-Image frame: u right, v down, pixel centres at whole numbers. A pose is (x, y, yaw) of the part frame
-on the belt plane, in base. Compiled, since classification draws some hundred outlines a frame.
+Image frame: u right, v down, pixel centres at whole numbers. A pose is (x, y, yaw) of the part
+frame on the belt plane, in base. Compiled: a frame takes some hundred outlines.
 """
 
 from dataclasses import dataclass
