@@ -6,6 +6,10 @@ import pytest
 from twin.geometry import apply, compose2, inverse
 from twin.layout import load_layout
 from twin.messages import RgbdFrame
+from twin.plant.as_built import AsBuilt
+from twin.plant.sensors.rendering import RenderWorker
+from twin.plant.sensors.rgbd import RgbdCamera
+from twin.plant.world import World
 from twin.stack.config import StackConfig
 from twin.stack.estimation.distance import DistanceToPick, hood_at_pick, measure_distance
 
@@ -74,3 +78,28 @@ def test_pictures_taken_off_the_approach_are_passed_over():
     for pose in (None, compose2(pick, (-1, 0, 0.3)), compose2(pick, (-1, 0.5, 0)), pick):
         assert distance.update(frame, pose) is None
     assert not distance.measured
+
+
+@pytest.fixture(scope="module")
+def plant_eye():
+    """Depth camera of a vehicle as built; the vehicle is put where a test wants it."""
+    built = AsBuilt.draw(np.random.default_rng(2), LAYOUT.world.tolerances)
+    world = World(LAYOUT, built, pool=1)
+    worker = RenderWorker(world.model)
+    camera = RgbdCamera(worker, np.random.default_rng(0))
+
+    def look(pose) -> RgbdFrame:
+        q = world.model.joint("agv/base").qposadr[0]
+        half = pose[2] / 2
+        world.data.qpos[q : q + 7] = (*pose[:2], 0, np.cos(half), 0, 0, np.sin(half))
+        return camera.sample(0.0, world.model, world.data).result()
+
+    yield look
+    worker.close()
+
+
+@pytest.mark.parametrize("s", [0.0, 0.3, 0.8, 1.5, 2.3])
+def test_rendered_depth_gives_the_distance(plant_eye, s):
+    """Expected: mount as built and stereo noise included, 1 cm at the goal, 5 cm at 3 m range."""
+    pose = compose2(np.array(CONFIG.site.pick), (-s, 0.01, 0.005))
+    assert measure_distance(plant_eye(pose), CONFIG) == pytest.approx(s, abs=0.01 + 0.015 * s)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from twin.geometry import compose2
 from twin.messages import WheelState
 from twin.stack.config import Wheels
+from twin.stack.control import mecanum
 from twin.stack.estimation.odometry import WheelOdometry, displacement, exp2
 from twin.stack.estimation.pose_history import PoseHistory
 
@@ -15,11 +16,9 @@ small = st.floats(-2, 2)
 
 
 def counts(twist) -> np.ndarray:
-    """Wheel counts for a displacement: the inverse kinematics, written out by hand."""
-    x, y, yaw = twist
-    rim = (WHEELS.half_base + WHEELS.half_track) * yaw
-    travel = np.array([x - y - rim, x + y + rim, x + y - rim, x - y + rim])
-    return travel / WHEELS.radius / (2 * np.pi) * WHEELS.gear_ratio * WHEELS.counts_per_turn
+    """Wheel counts for a displacement."""
+    turns = mecanum.wheel_speeds(WHEELS, np.asarray(twist)) / (2 * np.pi)
+    return turns * WHEELS.gear_ratio * WHEELS.counts_per_turn
 
 
 def state(stamp, ticks) -> WheelState:

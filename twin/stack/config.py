@@ -36,7 +36,11 @@ class DriveLimits:
     turn_acceleration: float = 2.0  # rad/s^2
     jerk: float = 4.0  # m/s^3: full acceleration within 0.2 s; guess
     turn_jerk: float = 10.0  # rad/s^3: likewise
-    velocity_lag: float = 0.05  # s, from commanded to driven velocity; from a step response
+    # Answer of the wheel loops to a commanded vx, vy, omega: (T s + 1) / (L T s^2 + T s + 1) after
+    # a dead time. T follows from their PI gains; L and the dead time were fitted to a drive.
+    velocity_lag: tuple[float, float, float] = (0.10, 0.08, 0.03)  # L, s
+    lag_washout: float = 0.25  # T, s
+    dead_time: float = 0.015  # s
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class Gripper:
 class Tray:
     """Slots on the deck in base coordinates; row-major, x of the columns and y of the rows."""
 
-    columns: tuple[float, ...] = (0.06, 0.00, -0.06, -0.12)
+    columns: tuple[float, ...] = (0.075, 0.015, -0.075, -0.135)
     rows: tuple[float, ...] = (-0.18, -0.12, -0.06, 0.00, 0.06, 0.12, 0.18)
     floor: float = 0.556  # z of the slots' floor, m
     wall: float = 0.006  # height of the walls between slots, m

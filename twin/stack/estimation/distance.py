@@ -25,10 +25,11 @@ NOISE_AT_1M = 0.010  # m, 1 sigma of the face at 1 m, growing with distance squa
 def points_in_base(frame: RgbdFrame, camera: Camera) -> Array:
     """Back-projects depth. Shape (n, 3) in base, pixels without a return left out."""
     v, u = np.nonzero(frame.depth_mm)
-    z = frame.depth_mm[v, u] * 1e-3
+    z = 1e-3 * frame.depth_mm[v, u].astype(np.float64)
     K = camera.matrix
     x, y = (u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z
-    return apply(camera.T_base_camera, np.stack([x, y, z], axis=1))
+    p_camera = np.stack([x, y, z], axis=1, dtype=np.float64)
+    return apply(camera.T_base_camera, p_camera)
 
 
 def hood_at_pick(config: StackConfig) -> Array:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array, compose2
 from twin.messages import ImuReading, WheelState
@@ -21,7 +22,7 @@ STILL_TIME = 0.20  # s that all wheels must stand before the vehicle is said to 
 STILL_COUNTS = 3  # counts that a standing wheel may wander
 MAX_ACCEL = 15.0  # m/s^2: beyond what tyres can do (1.5 g); such a reading is broken
 MAX_RATE = 10.0  # rad/s: ten times what the drive can do; likewise
-READY_SIGMA = 1.5e-4  # rad/s of gyro bias: 2 mrad of yaw over a drive of 15 s
+READY_SIGMA = 0.8e-4  # rad/s of gyro bias: 1.6 mrad of yaw over a mission of 20 s of driving
 PATIENCE = 50  # wheel readings outside the gate in a row before slip is allowed for
 
 
@@ -57,7 +58,7 @@ class FusedOdometry:
 
     @property
     def ready(self) -> bool:
-        """Whether the gyro bias is known well enough to drive: stand for 1-2 s after switch-on."""
+        """Whether the gyro bias is known well enough to drive: stand for 2-3 s after switch-on."""
         return bool(self.ekf.P[GYRO_BIAS, GYRO_BIAS] < READY_SIGMA**2)
 
     def pose(self, now: float) -> Array:
@@ -91,7 +92,7 @@ class FusedOdometry:
         if self.stamp is not None:
             self.history.add(self.stamp, self.ekf.x[POSE])
 
-    def _usable(self, reading, *arrays: Array) -> bool:
+    def _usable(self, reading: WheelState | ImuReading, *arrays: NDArray) -> bool:
         good = np.isfinite(reading.stamp) and all(np.all(np.isfinite(a)) for a in arrays)
         late = good and self.stamp is not None and reading.stamp < self.stamp
         self.ignored += (not good) or late

@@ -1,6 +1,7 @@
 """Dead reckoning from wheel counts alone, kept beside the fused estimate for comparison."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array, compose2
 from twin.messages import WheelState
@@ -8,7 +9,7 @@ from twin.stack.config import Wheels
 from twin.stack.control import mecanum
 
 
-def displacement(wheels: Wheels, ticks: Array) -> Array:
+def displacement(wheels: Wheels, ticks: NDArray[np.integer]) -> Array:
     """Displacement of the base in its own axes for an increment of counts.
 
     Args:
@@ -19,7 +20,7 @@ def displacement(wheels: Wheels, ticks: Array) -> Array:
         x, y in m and yaw in rad, as a twist times its duration. Shape (3,).
     """
     turn = 2 * np.pi / (wheels.gear_ratio * wheels.counts_per_turn)
-    return mecanum.body_velocity(wheels, turn * np.asarray(ticks, dtype=float))
+    return mecanum.body_velocity(wheels, turn * ticks)
 
 
 def exp2(twist: Array) -> Array:
@@ -29,10 +30,8 @@ def exp2(twist: Array) -> Array:
         twist: x, y in m and yaw in rad, in the axes of the start. Shape (3,).
     """
     x, y, yaw = twist
-    if abs(yaw) < 1e-9:
-        a, b = 1.0, 0.5 * yaw
-    else:
-        a, b = np.sin(yaw) / yaw, (1 - np.cos(yaw)) / yaw
+    # sin(yaw) / yaw and (1 - cos(yaw)) / yaw, without a division by zero; sinc(a) is of pi a.
+    a, b = np.sinc(yaw / np.pi), 0.5 * yaw * np.sinc(0.5 * yaw / np.pi) ** 2
     return np.array([a * x - b * y, b * x + a * y, yaw])
 
 

@@ -1,8 +1,8 @@
 """Drive to a pose along way-points: straight, strafe and turn on the spot.
 
 Each leg from pose to pose is one path coordinate from 0 to 1, moved along by a time-optimal profile
-of limited jerk (ruckig). The command is the profile's velocity as feed-forward plus a proportional
-answer to the error of the fused pose.
+of limited jerk (ruckig). The command is the profile's velocity through the inverse of the wheel
+loops' answer, plus a proportional response to the error of the fused pose.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from twin.geometry import Array, between2, rot2, wrap_angle
 from twin.messages import BodyVelocity
 from twin.stack.config import DriveLimits
 
-POSITION_GAIN = 3.0  # 1/s: well below the wheel loops' bandwidth; not tuned
-YAW_GAIN = 4.0  # 1/s; not tuned
+GAIN = np.array([3.0, 3.0, 4.0])  # 1/s on x, y, yaw: below the wheel loops' 10 rad/s; not tuned
 TOLERANCE, TOLERANCE_YAW = 0.005, np.radians(0.3)  # m, rad: a way-point is reached
 CORNER_WAIT = 0.15  # s at most that a corner waits for its tolerance
 STOPPED, STOPPED_TURN = 0.005, 0.01  # m/s, rad/s: estimated velocity that counts as standing
+TICK = 0.010  # s between steps
 MARGIN = 1.10  # of the limits that feedback may use
 
 
@@ -97,6 +97,7 @@ class Drive:
         self._legs: list[Leg] = []
         self._index = 0
         self.done = True
+        self._acceleration = self._washed = np.zeros(3)
 
     def start(self, now: float, pose: Array, route: Sequence[Sequence[float]]) -> None:
         """Set out from the fused pose along poses (x, y, yaw) in world; the last is the goal."""
@@ -147,11 +148,25 @@ class Drive:
         self._next_leg(now, pose, velocity)
         if self.done:
             return BodyVelocity()
-        reference, speed, acceleration = self._legs[self._index].at(now)
-        error = self._error(reference, pose)
-        world = speed + self._limits.velocity_lag * acceleration
-        world = world + np.array([POSITION_GAIN, POSITION_GAIN, YAW_GAIN]) * error
-        return self._clipped(np.array([*(rot2(pose[2]).T @ world[:2]), world[2]]))
+        leg = self._legs[self._index]
+        reference, _, _ = leg.at(now)
+        _, speed, acceleration = leg.at(now + self._limits.dead_time)
+        world = speed + GAIN * self._error(reference, pose)
+        R_base_world = rot2(pose[2]).T
+        wanted = np.array([*(R_base_world @ world[:2]), world[2]])
+        lead = self._lead(np.array([*(R_base_world @ acceleration[:2]), acceleration[2]]))
+        return self._clipped(wanted + lead)
+
+    def _lead(self, acceleration: Array) -> Array:
+        """What must be added to a velocity, in base axes, so that the wheel loops follow it.
+
+        The inverse of their answer is 1 + L T s^2 / (T s + 1): the lag L times the acceleration,
+        washed out with T by the loops' integrators.
+        """
+        change = acceleration - self._acceleration
+        self._washed = (self._washed + change) * np.exp(-TICK / self._limits.lag_washout)
+        self._acceleration = acceleration
+        return self._limits.velocity_lag * self._washed
 
     def _next_leg(self, now: float, pose: Array, velocity: Array) -> None:
         leg = self._legs[self._index]
