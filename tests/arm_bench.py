@@ -72,7 +72,6 @@ class ArmBench:
 
     def part_pose(self):
         """`T_base_part` and its velocity, from truth: the bench knows them exactly."""
-        mujoco.mj_kinematics(self.model, self.data)
         body = self.data.body("part")
         return transform(body.xmat.reshape(3, 3), body.xpos), self.data.joint("part").qvel[:3]
 
@@ -82,7 +81,6 @@ class ArmBench:
     def step(self):
         """One tick of 10 ms; returns the TCP's distance from its reference, m."""
         command = self.motion.command(self.now)
-        mujoco.mj_kinematics(self.model, self.data)  # poses are a step old after mj_step
         tcp = self.data.site("arm/tcp").xpos.copy()
         wanted = self.motion.kinematics.forward(command.position)[:3, 3]
         error = float(np.linalg.norm(self.to_mount(tcp) - wanted))
@@ -91,6 +89,7 @@ class ArmBench:
             self.drive.apply(self.data)
             self.gripper.apply(self.data)
             mujoco.mj_step(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)  # after mj_step poses are a step old
         self.tick += 1
         self.tracking.append(error)
         return error

@@ -18,6 +18,8 @@ import numpy as np
 from twin.geometry import Array, rot_y, rot_z, transform, wrap_angle
 from twin.stack.config import Arm
 
+ROUNDING = 1e-9  # by which a pose may miss the border of the reachable
+
 
 class Unreachable(ValueError):
     """No joint angles put the hand there. The message says why."""
@@ -79,7 +81,7 @@ class ArmKinematics:
         x, y, z = T_mount_tcp[:3, 3] - self.c * R[:, 2] - (0.0, 0.0, self.h)
         distance2 = x * x + y * y + z * z
         cos_elbow = (distance2 - self.a**2 - self.b**2) / (2 * self.a * self.b)
-        if abs(cos_elbow) > 1.0:
+        if abs(cos_elbow) > 1.0 + ROUNDING:
             tcp = ", ".join(f"{c:.3f}" for c in T_mount_tcp[:3, 3])
             raise Unreachable(
                 f"TCP at ({tcp}) m in mount: the wrist would stand {np.sqrt(distance2):.3f} m"
@@ -90,7 +92,7 @@ class ArmKinematics:
         found = []
         for front, bend in product((1.0, -1.0), (1.0, -1.0)):
             q1 = np.arctan2(front * y, front * x)
-            q3 = bend * np.arccos(cos_elbow)
+            q3 = bend * np.arccos(np.clip(cos_elbow, -1.0, 1.0))
             # Angle of the shoulder-wrist line from the vertical, less its angle to the upper arm.
             q2 = np.arctan2(front * radius, z) - np.arctan2(
                 self.b * np.sin(q3), self.a + self.b * np.cos(q3)
@@ -125,12 +127,14 @@ class ArmKinematics:
         radius, height = np.hypot(x, y), z + self.c - self.h
         cos_elbow = (radius**2 + height**2 - self.a**2 - self.b**2) / (2 * self.a * self.b)
         worst = int(np.argmax(np.abs(cos_elbow)))
-        if abs(cos_elbow[worst]) > 1.0:
+        if abs(cos_elbow[worst]) > 1.0 + ROUNDING:
             raise Unreachable(
-                f"TCP at ({x[worst]:.3f}, {y[worst]:.3f}, {z[worst]:.3f}) m in mount: beyond"
-                f" the reach of upper arm and forearm"
+                f"TCP at ({x[worst]:.3f}, {y[worst]:.3f}, {z[worst]:.3f}) m in mount:"
+                f" the wrist would stand {np.hypot(radius, height)[worst]:.3f} m from the shoulder;"
+                f" {abs(self.a - self.b):.3f} to {self.a + self.b:.3f} m can be reached"
             )
         q1 = np.unwrap(np.arctan2(y, x))
+        cos_elbow = np.clip(cos_elbow, -1.0, 1.0)
         q3 = np.arccos(cos_elbow)
         q2 = np.arctan2(radius, height) - np.arctan2(
             self.b * np.sin(q3), self.a + self.b * cos_elbow
@@ -140,7 +144,7 @@ class ArmKinematics:
         q = np.column_stack([q1, q2, q3, np.zeros_like(q1), np.pi - q2 - q3, q6])
         over = np.maximum(q - self.upper, self.lower - q)
         point, joint = np.unravel_index(int(np.argmax(over)), over.shape)
-        if over[point, joint] > 0.0:
+        if over[point, joint] > ROUNDING:
             raise Unreachable(
                 f"TCP at ({x[point]:.3f}, {y[point]:.3f}, {z[point]:.3f}) m in mount:"
                 f" joint {joint + 1} would have to stand at {q[point, joint]:.3f} rad;"
@@ -165,7 +169,7 @@ class ArmKinematics:
         q = q + step * np.round((seed - q) / step)
         q = np.where(q > self.upper, q - step, np.where(q < self.lower, q + step, q))
         over = np.maximum(q - self.upper, self.lower - q)
-        good = (over <= 0.0).all(axis=1)
+        good = (over <= ROUNDING).all(axis=1)
         if not good.any():
             best = int(np.argmin(over.max(axis=1)))
             joint = int(np.argmax(over[best]))
@@ -173,5 +177,5 @@ class ArmKinematics:
                 f"joint {joint + 1} would have to stand at {q[best, joint]:.3f} rad;"
                 f" it may go from {self.lower[joint]:.3f} to {self.upper[joint]:.3f}"
             )
-        q = q[good]
+        q = np.clip(q[good], self.lower, self.upper)
         return q[int(np.argmin(np.abs(q - seed).sum(axis=1)))]

@@ -94,8 +94,9 @@ class ArmMotion:
         )
         middle = sum(config.pick_windows[index]) / 2
         self.ready_position = np.array([belt_y - mount_y, mount_x - middle, belt + 0.090])
-        # Turned away from the belt over the vehicle's own deck, 0.20 m from the column.
-        self.stow_position = np.array([-0.173, 0.100 if index == 0 else -0.100, 0.160])
+        # Turned away from the belt over the vehicle's own deck, 0.26 m from the column: there the
+        # upper arm stands nearly upright.
+        self.stow_position = np.array([-0.213, 0.149 if index == 0 else -0.149, 0.160])
         yaw = np.array([_plain_yaw(self.stow_position)])
         self._rest = self.kinematics.inverse_down(self.stow_position[None], yaw)[0]
         self._segments: list[_Segment] = []

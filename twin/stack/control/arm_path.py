@@ -22,8 +22,8 @@ from twin.geometry import Array
 from twin.stack.config import Arm
 from twin.stack.control.arm_kinematics import ArmKinematics
 
-COLUMN = 0.15  # m, radius of the string's circle: half the hand and half the column, and 60 mm air
-GRID = 0.004  # m, step along the path
+COLUMN = 0.135  # m, radius of the string's circle: half the hand and half the column, 45 mm air
+GRID, FEWEST = 0.004, 150  # m, step along the path; and least number of points
 ROUNDING = 0.05  # m, length over which corners are rounded
 SMOOTHING = 0.090  # s: jerk 2 * 20 * MARGIN / SMOOTHING, below 500 rad/s^3
 MARGIN = 0.9  # of the acceleration limits: what corners between grid points may add
@@ -89,7 +89,7 @@ def taut_string(start: Array, goal: Array, radius: float) -> Array:
 
 
 def hand_path(start: Array, goal: Array, travel: Travel) -> Array:
-    """Points of the TCP, `GRID` apart, from start to goal by the rules above. Shape (n, 3)."""
+    """Points of the TCP, evenly spaced, from start to goal by the rules above. Shape (n, 3)."""
     start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     radius = min(COLUMN, np.hypot(*start[:2]), np.hypot(*goal[:2]))
     route = _resample(taut_string(start[:2], goal[:2], radius))
@@ -107,7 +107,7 @@ def hand_path(start: Array, goal: Array, travel: Travel) -> Array:
     high = [max(height[0], start[2]), max(height[-1], goal[2])]
     height = np.maximum(height, np.interp(along, [0, 1], high) if len(along) > 2 else high)
     corners = np.vstack([start, np.column_stack([route, height]), goal])
-    return _rounded(_resample(corners))
+    return _resample(_rounded(_resample(corners)), FEWEST)
 
 
 def time_path(points: Array, yaw: tuple[float, float], near: float, arm: Arm) -> JointTable:
@@ -119,11 +119,12 @@ def time_path(points: Array, yaw: tuple[float, float], near: float, arm: Arm) ->
         near: joint 6 at the start is the choice nearest to this, rad.
         arm: drawing and limits.
     """
-    kinematics = ArmKinematics(arm)
     s = np.linspace(0.0, 1.0, len(points))
-    blend = s * s * s * (10 - 15 * s + 6 * s * s)
-    yaws = yaw[0] + (_nearest_yaw(points, yaw, near) - yaw[0]) * blend
-    q = kinematics.inverse_down(points, yaws, near)
+    turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0])) + np.pi / 2
+    first, last = _joint_six(turn[0] - yaw[0], turn[-1] - yaw[1], near)
+    # Joint 6 turns evenly along the path: it never reverses.
+    yaws = turn - (first + (last - first) * s)
+    q = ArmKinematics(arm).inverse_down(points, yaws, first)
     ds = 1.0 / (len(q) - 1)
     dq = np.gradient(q, ds, axis=0, edge_order=2)
     ddq = np.gradient(dq, ds, axis=0, edge_order=2)
@@ -143,19 +144,17 @@ def time_path(points: Array, yaw: tuple[float, float], near: float, arm: Arm) ->
     return JointTable.from_positions((total[window:] - total[:-window]) / window)
 
 
-def _nearest_yaw(points: Array, yaw: tuple[float, float], near: float) -> float:
-    """Goal yaw, give or take half turns (two fingers are alike), with the least turn of joint 6.
+def _joint_six(start: float, goal: float, near: float) -> tuple[float, float]:
+    """Joint 6 at both ends, give or take half turns: two fingers are alike.
 
-    Joint 6 stands at q1 + pi/2 - yaw; it is kept within half a turn of zero, so that it never
-    winds up over many picks.
+    At the start it is the choice nearest to `near`, at the goal the one with the least turn that
+    keeps it within half a turn of zero, so that it never winds up over many picks.
     """
-    turn1 = np.arctan2(points[-1, 1], points[-1, 0]) - np.arctan2(points[0, 1], points[0, 0])
-    start = np.arctan2(points[0, 1], points[0, 0]) + np.pi / 2 - yaw[0]
     start -= np.pi * np.round((start - near) / np.pi)
-    end = start + turn1 - (yaw[1] - yaw[0])
-    choices = end - np.pi * (np.round((end - start) / np.pi) + np.array([0.0, 1.0, -1.0]))
-    good = choices[np.abs(choices) <= np.pi]
-    return float(yaw[0] + turn1 - (good[np.argmin(np.abs(good - start))] - start))
+    nearest = goal - np.pi * np.round((goal - start) / np.pi)
+    choices = nearest + np.pi * np.array([0.0, 1.0, -1.0, 2.0, -2.0])
+    good = choices[np.abs(choices) <= np.pi + 1e-6]
+    return start, float(good[np.argmin(np.abs(good - start))])
 
 
 @numba.njit(cache=True)
@@ -206,10 +205,10 @@ def fastest(dq, ddq, speed, acceleration, ds):
     return rate2
 
 
-def _resample(corners: Array) -> Array:
-    """Points about `GRID` apart along a polyline. Shape (n, d), n at least 3."""
+def _resample(corners: Array, fewest: int = 3) -> Array:
+    """Even points along a polyline, at most `GRID` apart. Shape (n, d), n at least `fewest`."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    at = np.linspace(0.0, length[-1], max(3, int(np.ceil(length[-1] / GRID)) + 1))
+    at = np.linspace(0.0, length[-1], max(fewest, int(np.ceil(length[-1] / GRID)) + 1))
     return np.column_stack([np.interp(at, length, column) for column in corners.T])
 
 
