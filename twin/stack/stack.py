@@ -17,7 +17,7 @@ from twin.messages import (
 )
 from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
-from twin.stack.detection.tracker import BeltTracker
+from twin.stack.detection.tracker import Tracker
 from twin.stack.estimation.distance import DistanceToPick
 from twin.stack.estimation.fusion import FusedOdometry
 from twin.stack.estimation.odometry import WheelOdometry
@@ -41,7 +41,7 @@ class Stack:
         self.odometry = WheelOdometry(config.wheels, start)
         self.fused = FusedOdometry(config, start)
         self.detector = ContourDetector(config)
-        self.tracker = BeltTracker(config)
+        self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
         self.drive = Drive(config.drive)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))
@@ -71,7 +71,7 @@ class Stack:
             self._hear(reading)
         self._tree.tick_once()
         body_velocity = self.drive.step(stamp, self._pose, self.fused.velocity)
-        parts = self.tracker.parts(stamp)
+        parts = self.tracker.predict(stamp)
         self.picker.step(stamp, self._pose, parts)
         arms, grippers = zip(*(w.step(stamp) for w in self.arms), strict=True)
         self.state = self._snapshot(parts)

@@ -25,8 +25,8 @@ from twin.stack.control.arm_kinematics import ArmKinematics
 COLUMN = 0.135  # m, radius of the string's circle: half the hand and half the column, 45 mm air
 GRID, FEWEST = 0.004, 150  # m, step along the path; and least number of points
 ROUNDING = 0.05  # m, length over which corners are rounded
-SMOOTHING = 0.090  # s: jerk 2 * 20 * MARGIN / SMOOTHING, below 500 rad/s^3
-MARGIN = 0.9  # of the acceleration limits: what corners between grid points may add
+SMOOTHING = 0.085  # s: jerk 2 * 20 * MARGIN / SMOOTHING, below 500 rad/s^3
+MARGIN = 0.95  # of the acceleration limits: what corners between grid points may add
 STEP = 0.002  # s, of the tables
 
 

@@ -56,6 +56,6 @@ class ControlUnit:
             self._command = body_velocity
             allowed = mecanum.within_limits(self._wheels, body_velocity.as_array())
             self._reference = mecanum.wheel_speeds(self._wheels, allowed)
-        pwm = self._pid.step(self._reference, speed)
+        pwm = self._pid.step(self._reference, speed, self._decoder.angle)
         measured = mecanum.body_velocity(self._wheels, speed)
         return pwm, WheelState(stamp, self._decoder.total, speed, measured)

@@ -27,6 +27,11 @@ class CountDecoder:
         self.total = np.zeros(4, dtype=np.int64)  # counts since the first call
         self._history: list[NDArray[np.int64]] = [self.total.copy()]
 
+    @property
+    def angle(self) -> Array:
+        """Of the wheels since the first call, rad. Shape (4,)."""
+        return self.total * self._angle
+
     def update(self, ticks: NDArray[np.uint16]) -> Array:
         """Take the counters' present state; returns wheel speeds in rad/s. Shape (4,).
 

@@ -35,6 +35,11 @@ class PidGains:
     integral: float = 20.0  # V/rad: zero at 5 rad/s, below the loop's 12 rad/s
     derivative: float = 0.0  # V s^2/rad: the plant is first order, D would only amplify counts
     dead_band: float = 0.02  # rad/s of reference below which no friction is fed forward
+    # Parking: a spring and a damper at the wheel, 60 rad/s and damping 0.8 with 0.09 kg m^2,
+    # brought to volts by k n / R = 0.21 N m/V. Arms at work push with some 30 N: 0.1 mm.
+    hold_stiffness: float = 1540.0  # V/rad
+    hold_damping: float = 40.0  # V s/rad
+    hold_below: float = 0.15  # rad/s: wheels slower than this are taken hold of
 
 
 NOMINAL_MOTOR, NOMINAL_GAINS = MotorDrawing(), PidGains()
@@ -62,14 +67,24 @@ class WheelPid:
         self._friction = motor.friction * motor.resistance / self._back_emf  # V
         self.integral = np.zeros(4)  # V
         self._error = np.zeros(4)
+        self._held: Array | None = None  # rad, angle at which the wheels are parked
 
-    def step(self, reference: Array, speed: Array) -> Array:
+    def step(self, reference: Array, speed: Array, angle: Array) -> Array:
         """Duty of the four drives from wanted and measured wheel speeds, rad/s. Shape (4,).
 
         Anti-windup by clamping: an integrator stands still while its drive is saturated and the
-        error would push it further out.
+        error would push it further out. Told to stand, the wheels are parked once they are slow:
+        their angle (rad, of any origin) is held, so that working arms do not push the vehicle off.
         """
         g = self._gains
+        if np.any(reference):
+            self._held = None
+        elif self._held is None and np.max(np.abs(speed)) < g.hold_below:
+            self._held = angle.copy()
+        if self._held is not None:
+            self.integral, self._error = np.zeros(4), -speed
+            volts = g.hold_stiffness * (self._held - angle) - g.hold_damping * speed
+            return np.clip(volts / self._motor.supply, -1.0, 1.0)
         error = reference - speed
         slope = (error - self._error) / self._period
         self._error = error

@@ -24,8 +24,17 @@ class TrayBook:
                 for i, slot in enumerate(self._slots)
                 if arms == 1 or np.sign(slot[0] - config.midplane) == side
             ]
-            # Rows next to the belt first: the shortest transfer.
-            own.sort(key=lambda i: (-self._slots[i][1], np.hypot(*(self._slots[i] - mount)[:2])))
+            # Outer column first, from the belt on; then the inner one, one arm from the belt on
+            # and the other from the far side, so that two hands are never next to each other.
+            rows = -side if arms > 1 else -1.0
+            out = {i: abs(self._slots[i][0] - config.midplane) for i in own}
+            outer = max(out.values())
+            own.sort(
+                key=lambda i: (
+                    -round(out[i], 3),
+                    self._slots[i][1] * (-1.0 if out[i] > outer - 1e-3 else rows),
+                )
+            )
             self._free[arm] = own
 
     def free(self, arm: int) -> int:
