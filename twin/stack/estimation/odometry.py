@@ -20,7 +20,7 @@ def displacement(wheels: Wheels, ticks: NDArray[np.integer]) -> Array:
         x, y in m and yaw in rad, as a twist times its duration. Shape (3,).
     """
     turn = 2 * np.pi / (wheels.gear_ratio * wheels.counts_per_turn)
-    return mecanum.body_velocity(wheels, turn * ticks)
+    return mecanum.body_velocity(wheels, turn * ticks.astype(np.float64))
 
 
 def exp2(twist: Array) -> Array:
