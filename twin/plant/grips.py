@@ -30,15 +30,17 @@ class GripWatcher:
         is_part = np.array([name.startswith("part_") for name in body])
         self._is_part = is_part[model.geom_bodyid]
         self._nothing = (Grip(None, 0.0), Grip(None, 0.0))
+        self.held = self._nothing  # by each arm at the last look
 
-    def observe(self, data: mujoco.MjData) -> tuple[Grip, Grip]:
-        """What both arms hold in the present state."""
+    def observe(self, data: mujoco.MjData) -> None:
+        """Look at the contacts; their forces must be solved, as they are right after a step."""
+        self.held = self._nothing
         if not data.ncon:
-            return self._nothing
+            return
         geom = data.contact.geom
         touching = (self._finger[geom].max(axis=1) > 0) & self._is_part[geom].any(axis=1)
         if not touching.any():
-            return self._nothing
+            return
         force: dict[tuple[int, int, int], float] = {}  # (arm, part body, side) -> N
         wrench = np.zeros(6)
         for i in np.nonzero(touching)[0]:
@@ -47,7 +49,7 @@ class GripWatcher:
             mujoco.mj_contactForce(self._model, data, int(i), wrench)
             key = (arm, int(self._model.geom_bodyid[b]), side)
             force[key] = force.get(key, 0.0) + float(wrench[0])
-        return self._of(0, force), self._of(1, force)
+        self.held = (self._of(0, force), self._of(1, force))
 
     def _of(self, arm: int, force: dict[tuple[int, int, int], float]) -> Grip:
         best = Grip(None, 0.0)

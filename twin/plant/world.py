@@ -118,6 +118,7 @@ class World:
             self._stale = False
         before = self.data.time
         mujoco.mj_step2(self.model, self.data)
+        self._grips.observe(self.data)  # here, since these contacts have their forces now
         mujoco.mj_step1(self.model, self.data)
         if self.data.warning.number.any():
             raise PlantError(f"MuJoCo warned at {before:.3f} s: {_last_warning[-1]}")
@@ -168,7 +169,7 @@ class World:
             joint_position=d.qpos[self._arm_qpos],
             T_world_tcp=np.array(tcp),
             finger_width=d.qpos[self._finger_qpos].sum(axis=1),
-            grips=self._grips.observe(d),
+            grips=self._grips.held,
             part_names=self.part_names,
             part_position=parts[:, :3],
             part_quat=parts[:, 3:],
