@@ -89,11 +89,9 @@ class Classifier:
                 flipped[candidate] = max(score, flipped.get(candidate, 0.0))
         name: PartClass = max(fits, key=lambda n: fits[n][0])
         iou, pose = fits[name]
-        scores = [s for s, _ in fits.values()]
-        scores += [
-            max(r[0] for r in ranked if r[1] == n) for n in {r[1] for r in ranked} - set(fits)
-        ]
-        weight = np.exp(SHARPNESS * (np.array(scores) - iou))
+        # Classes that were not fitted count with their IoU of the first look.
+        scores = {n: fits[n][0] if n in fits else first for first, n, _ in reversed(ranked)}
+        weight = np.exp(SHARPNESS * (np.array(list(scores.values())) - iou))
         alike = flipped.get(name, 0.0) > iou - 0.01
         symmetric = self._drawings[name].symmetric or alike
         return Fit(name, pose, iou, float(1.0 / weight.sum()), symmetric)
@@ -113,9 +111,8 @@ class Classifier:
                 AREA_RATIO,
             )  # fmt: skip
             peak = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1))
-            found += [
-                (float(scores[i]), name, np.array([x, y, YAWS[i]])) for i in np.flatnonzero(peak)
-            ]
+            for i in np.flatnonzero(peak):
+                found.append((float(scores[i]), name, np.array([x, y, YAWS[i]])))
         return sorted(found, key=lambda item: -item[0])
 
 

@@ -5,7 +5,8 @@ All parts ride on one belt: its velocity is estimated from all tracks together,
 
     p_ki = a_k + v t_ki + noise,   minimised over all a_k and one v,
 
-and each track keeps only its own offset a_k. A track that is out of sight coasts at v.
+and each track keeps only its own offset a_k. A track that is out of sight coasts at v: it is right
+as long as the belt runs as it did when the part was last seen.
 """
 
 from collections import deque
@@ -72,8 +73,16 @@ class _Track:
         sine, cosine = weight[agree] @ np.sin(yaw[agree]), weight[agree] @ np.cos(yaw[agree])
         self.yaw = float(np.arctan2(sine, cosine))
 
+    def expected(self, stamp: float, velocity: Array) -> Array:
+        """x, y, yaw where the next frame should show it. Shape (3,).
+
+        From the last frame alone: that holds also while the belt's velocity is wrong or unknown.
+        """
+        t, x, y, yaw, _ = self.observations[-1]
+        return np.array([x + velocity[0] * (stamp - t), y + velocity[1] * (stamp - t), yaw])
+
     def state(self, stamp: float, velocity: Array) -> Array:
-        """x, y, yaw at a time. Shape (3,)."""
+        """x, y, yaw at a time, from all frames. Shape (3,)."""
         return np.array([*(self.mean[1:] + velocity * (stamp - self.mean[0])), self.yaw])
 
 
@@ -104,7 +113,7 @@ class Tracker:
             pose: fused pose of the base in odom at exposure, (3,).
         """
         velocity = self._velocity if self._velocity is not None else np.zeros(2)
-        states = [track.state(stamp, velocity) for track in self._tracks]
+        states = [track.expected(stamp, velocity) for track in self._tracks]
         measured = [compose2(pose, (*d.p_base[:2], d.yaw)) for d in detections]
         pairs = sorted(
             (float(np.hypot(*(m[:2] - s[:2]))), i, j)
