@@ -118,12 +118,16 @@ def test_symmetric_hand_turns_less():
 
 @pytest.mark.parametrize(
     ("position", "words"),
-    [((0.9, 0.0, 0.2), "can be reached"), ((0.06, 0.0, 0.0), "joint 3"), ((-0.4, 0, 0.2), "joint")],
+    [
+        ((0.9, 0.0, 0.2), "can be reached"),
+        ((0.06, 0.0, 0.0), "joint 3"),
+        ((-0.4, 0, 0.2), "joint 1"),
+    ],
 )
 def test_out_of_reach_says_why(position, words):
     with pytest.raises(Unreachable, match=words):
         KINEMATICS.inverse_down(np.array([position]), np.zeros(1))
-    if words != "joint":  # the general inverse may bend over backwards
+    if words == "can be reached":  # the general inverse may bend over backwards
         with pytest.raises(Unreachable):
             KINEMATICS.inverse(down_pose((0.9, 0.0, 0.2), 0.0), np.zeros(6))
 
@@ -143,6 +147,6 @@ def test_whole_workplace_is_within_reach(arm):
     q = KINEMATICS.inverse_down(apply(T_mount_base, np.array(points)), np.zeros(len(points)))
     margin = np.minimum(q - KINEMATICS.lower, KINEMATICS.upper - q)[:, :5].min()
     elbow = [KINEMATICS.frames(x)[1][2, 2] + 0.55 for x in q]
-    assert margin > 0.10  # rad from every limit
+    assert margin > 0.07  # rad from every limit
     assert np.sin(q[:, 2]).min() > 0.45 and np.sin(q[:, 4]).min() > 0.5  # elbow, wrist
     assert max(elbow) < 1.05

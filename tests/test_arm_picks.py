@@ -11,7 +11,7 @@ from twin.geometry import inverse, transform
 from twin.plant.as_built import ARM_JOINT_ZERO
 from twin.stack.control.arm_motion import Grasp
 
-SLOTS = {0: (0.06, 0.12, 0.556), 1: (-0.12, -0.06, 0.556)}
+SLOTS = {0: (0.075, 0.12, 0.556), 1: (-0.135, -0.06, 0.556)}
 PART_YAW = 0.4
 
 
@@ -66,7 +66,7 @@ def test_pick_and_place(arm, speed, record_property):
 
     motion.dynamics.set_payload(0.040)
     slot = np.array(SLOTS[arm])
-    place = motion.place(bench.now, bench.to_mount(slot + [0, 0, PART_RADIUS + 0.0015]))
+    place = motion.place(bench.now, bench.to_mount(np.add(slot, [0, 0, PART_RADIUS + 0.0015])))
     allowed = {("arm/finger_left", "part"), ("arm/finger_right", "part")}
     carrying = 0.0
     while bench.now < place.open - 1e-6:
@@ -90,7 +90,7 @@ def test_pick_and_place(arm, speed, record_property):
         record_property(name, round(value, 3))
     assert descending < 0.0015 and carrying < 0.0015  # of which joint zeros about 0.5 mm
     assert intercept < 0.001
-    assert slip < 0.0015
-    assert cycle < 3.6
+    assert slip < 0.0025  # see models/arm/README.md, "Held parts"
+    assert cycle < 4.2
     assert np.hypot(*placed[:2]) < 0.003 and abs(placed[2] - PART_RADIUS) < 0.0005
     assert not bench.data.warning.number.any()

@@ -98,8 +98,8 @@ class Arm:
     max_acceleration: tuple[float, ...] = (18.0, 13.0, 18.0, 20.0, 20.0, 20.0)  # rad/s^2
     max_jerk: tuple[float, ...] = (500.0, 400.0, 500.0, 500.0, 500.0, 500.0)  # rad/s^3
     max_torque: tuple[float, ...] = (50.0, 50.0, 32.0, 32.0, 32.0, 20.0)  # N m
-    lower: tuple[float, ...] = (-2.95, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
-    upper: tuple[float, ...] = (2.95, 1.9, 2.75, 3.1, 2.1, 6.2)
+    lower: tuple[float, ...] = (-3.1, -1.9, -2.75, -3.1, -2.1, -6.2)  # rad
+    upper: tuple[float, ...] = (3.1, 1.9, 2.75, 3.1, 2.1, 6.2)
 
 
 @dataclass(frozen=True)

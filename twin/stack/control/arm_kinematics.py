@@ -167,7 +167,8 @@ class ArmKinematics:
         # Every joint may stand whole turns away; joint 6 half a turn where the fingers may swap.
         step = np.array([2.0 * np.pi] * 5 + [np.pi if symmetric else 2.0 * np.pi])
         q = q + step * np.round((seed - q) / step)
-        q = np.where(q > self.upper, q - step, np.where(q < self.lower, q + step, q))
+        too_far, too_near = q > self.upper + ROUNDING, q < self.lower - ROUNDING
+        q = np.where(too_far, q - step, np.where(too_near, q + step, q))
         over = np.maximum(q - self.upper, self.lower - q)
         good = (over <= ROUNDING).all(axis=1)
         if not good.any():

@@ -26,7 +26,7 @@ COLUMN = 0.135  # m, radius of the string's circle: half the hand and half the c
 GRID, FEWEST = 0.004, 150  # m, step along the path; and least number of points
 ROUNDING = 0.05  # m, length over which corners are rounded
 SMOOTHING = 0.085  # s: jerk 2 * 20 * MARGIN / SMOOTHING, below 500 rad/s^3
-MARGIN = 0.95  # of the acceleration limits: what corners between grid points may add
+MARGIN = 0.92  # of the acceleration limits: what corners between grid points may add
 STEP = 0.002  # s, of the tables
 
 

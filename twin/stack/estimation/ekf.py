@@ -178,12 +178,26 @@ class MotionEkf(ExtendedKalmanFilter):
         H[:, SLIP] = np.diag(size)
         return H
 
-    def update_still(self) -> bool:
-        """Correct by the knowledge that the vehicle stands; this teaches the biases."""
+    def park(self, pose: Array, covariance: Array, twist: Array) -> bool:
+        """Correct by the knowledge that the vehicle is parked; this teaches the biases.
+
+        Parked wheels do not slip: the pose is the one at which it came to rest, carried on by the
+        wheels' counts, with the covariance it had then. The unit's readings, which a deck tilting
+        under working arms would turn into motion, no longer move it.
+
+        Args:
+            pose: x, y, yaw in world by that rule. Shape (3,).
+            covariance: of the pose when it came to rest. Shape (3, 3).
+            twist: vx, vy, omega that the wheels report. Shape (3,).
+        """
         H = np.zeros((3, SIZE))
         H[:, TWIST] = np.eye(3)
         R = np.diag(np.square(self.noise.still))
-        return self._gated(np.zeros(3), self.x[TWIST], H, R)
+        inside = self._gated(twist, self.x[TWIST], H, R)
+        self.x[POSE] = pose
+        self.P[POSE, :], self.P[:, POSE] = 0.0, 0.0
+        self.P[POSE, POSE] = covariance
+        return inside
 
     def loosen_slip(self) -> None:
         """Give up the belief in the wheels: they have been contradicted for too long."""

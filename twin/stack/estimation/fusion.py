@@ -19,7 +19,7 @@ from twin.stack.estimation.pose_history import PoseHistory
 
 SILENCE = 0.10  # s without the inertial unit after which the wheels go on alone
 STILL_TIME = 0.20  # s that all wheels must stand before the vehicle is said to stand
-STILL_COUNTS = 3  # counts that a standing wheel may wander
+STILL_COUNTS = 150  # counts that a parked wheel may wander: 24 mrad, arms at work shake it
 MAX_ACCEL = 15.0  # m/s^2: beyond what tyres can do (1.5 g); such a reading is broken
 MAX_RATE = 10.0  # rad/s: ten times what the drive can do; likewise
 READY_SIGMA = 0.8e-4  # rad/s of gyro bias: 1.6 mrad of yaw over a mission of 20 s of driving
@@ -42,6 +42,8 @@ class FusedOdometry:
         self.ignored = 0  # readings that came too late or were broken
         self.standing = False
         self._outside = 0
+        # Since the vehicle stands: pose, wheels and covariance of the moment it came to rest.
+        self._parked: tuple[Array, WheelState, Array] | None = None
         self._wheel_queue: list[WheelState] = []
         self._last_wheel: WheelState | None = None
         self._still: deque[WheelState] = deque()
@@ -134,8 +136,14 @@ class FusedOdometry:
             self.ekf.loosen_slip()
             self._outside = 0
         self.standing = self._wheels_stand(wheel)
-        if self.standing:
-            self.ekf.update_still()
+        if not self.standing:
+            self._parked = None
+            return
+        if self._parked is None:
+            self._parked = (self.ekf.x[POSE].copy(), wheel, self.covariance)
+        pose, since, covariance = self._parked
+        moved = exp2(displacement(self._wheels, wheel.ticks - since.ticks))
+        self.ekf.park(compose2(pose, moved), covariance, mean)
 
     def _wheels_stand(self, wheel: WheelState) -> bool:
         self._still.append(wheel)
