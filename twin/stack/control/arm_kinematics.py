@@ -63,13 +63,13 @@ class ArmKinematics:
         R = R3 @ rot_z(q[3]) @ rot_y(q[4]) @ rot_z(q[5])
         upper = rot_z(q[0]) @ rot_y(q[1])
         p = self.a * upper[:, 2] + self.b * R3[:, 2] + self.c * R[:, 2]
-        p[2] += self.h
-        return transform(R, p)
+        return transform(R, np.array([p[0], p[1], p[2] + self.h]))
 
     def jacobian(self, q: Array) -> Array:
         """Twist of the TCP in mount axes (linear, then angular) per joint speed. Shape (6, 6)."""
         axes, origins = self.frames(q)
-        return np.vstack([np.cross(axes, origins[6] - origins[:6]).T, axes.T])
+        linear = np.asarray(np.cross(axes, origins[6] - origins[:6]), dtype=np.float64)
+        return np.vstack([linear.T, axes.T])
 
     def solutions(self, T_mount_tcp: Array) -> Array:
         """All joint angles that reach a pose, limits ignored. Shape (n, 6), n up to 8.

@@ -26,7 +26,11 @@ COLUMN = 0.135  # m, radius of the string's circle: half the hand and half the c
 GRID, FEWEST = 0.004, 150  # m, step along the path; and least number of points
 ROUNDING = 0.05  # m, length over which corners are rounded
 SMOOTHING = 0.085  # s: jerk 2 * 20 * MARGIN / SMOOTHING, below 500 rad/s^3
-MARGIN = 0.92  # of the acceleration limits: what corners between grid points may add
+MARGIN, ATTEMPTS = (
+    0.95,
+    4,
+)  # share of the acceleration limits at grid points, and tries to keep them
+SLOWEST = 1e-3  # 1/s, of the path parameter: a standstill inside a path would last for ever
 STEP = 0.002  # s, of the tables
 
 
@@ -125,12 +129,24 @@ def time_path(points: Array, yaw: tuple[float, float], near: float, arm: Arm) ->
     # Joint 6 turns evenly along the path: it never reverses.
     yaws = turn - (first + (last - first) * s)
     q = ArmKinematics(arm).inverse_down(points, yaws, first)
-    ds = 1.0 / (len(q) - 1)
+    share = MARGIN
+    for _ in range(ATTEMPTS):
+        table = _timed(q, np.array(arm.max_speed), share * np.array(arm.max_acceleration))
+        excess = float((np.abs(table.qdd) / arm.max_acceleration).max())
+        if excess <= 1.0:
+            break
+        share /= 1.01 * excess  # the limits hold at grid points alone: give the rest some room
+    return table
+
+
+def _timed(q: Array, speed: Array, acceleration: Array) -> JointTable:
+    """Fastest smooth motion through joint positions spaced evenly along a path. Shape (n, 6)."""
+    s, ds = np.linspace(0.0, 1.0, len(q), retstep=True)
     dq = np.gradient(q, ds, axis=0, edge_order=2)
     ddq = np.gradient(dq, ds, axis=0, edge_order=2)
-    rate2 = fastest(dq, ddq, np.array(arm.max_speed), MARGIN * np.array(arm.max_acceleration), ds)
+    rate2 = fastest(dq, ddq, speed, acceleration, float(ds))
     rate = np.sqrt(rate2)
-    t = np.concatenate([[0.0], np.cumsum(2 * ds / np.maximum(rate[:-1] + rate[1:], 1e-9))])
+    t = np.concatenate([[0.0], np.cumsum(2 * ds / np.maximum(rate[:-1] + rate[1:], SLOWEST))])
     times = np.arange(int(np.ceil(t[-1] / STEP)) + 1) * STEP
     # Within a grid cell the acceleration along the path is constant.
     k = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
