@@ -22,10 +22,13 @@ def test_two_arms_share_the_slots_without_crossing_the_midplane(config):
     assert min(s[0] for s in mine) > config.midplane > max(s[0] for s in yours)
 
 
-def test_one_arm_has_all_slots_each_once(config):
+def test_one_arm_fills_its_own_side_then_the_other_but_for_the_parked_hand(config):
     book = TrayBook(config, arms=1)
     taken = np.array([book.take(0) for _ in range(book.free(0))])
-    assert len(np.unique(taken, axis=0)) == len(config.tray.slots())
+    assert len(np.unique(taken, axis=0)) == len(taken)
+    own = len(config.tray.slots()) // 2
+    assert (taken[:own, 0] > config.midplane).all()
+    assert 20 <= len(taken) < len(config.tray.slots())
     with pytest.raises(IndexError):
         book.take(0)
 

@@ -96,7 +96,7 @@ class ArmMotion:
         self.ready_position = np.array([belt_y - mount_y, mount_x - middle, belt + 0.090])
         # Turned away from the belt. Front: the elbow keeps clear of the mast on the way. Rear:
         # out of the front arm's way, which may use the whole tray when it works alone.
-        self.stow_position = np.array([(-0.213, 0.149, 0.160), (-0.200, -0.035, 0.160)][index])
+        self.stow_position = np.array(config.stow[index])
         yaw = np.array([_plain_yaw(self.stow_position)])
         self._rest = self.kinematics.inverse_down(self.stow_position[None], yaw)[0]
         self._segments: list[_Segment] = []
