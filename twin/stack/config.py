@@ -175,7 +175,7 @@ class StackConfig:
     line_hood: float = 0.30  # m from the belt's upstream end to the front of the feeder's hood
     odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock
     # Base x along the belt within which each arm meets parts, m.
-    pick_windows: tuple[tuple[float, float], ...] = ((0.04, 0.28), (-0.50, -0.10))
+    pick_windows: tuple[tuple[float, float], ...] = ((0.03, 0.22), (-0.50, -0.10))
     # TCP of each arm folded for driving, in its mount frame, m: clear of mast and tray.
     stow: tuple[tuple[float, float, float], ...] = ((-0.213, 0.149, 0.160), (-0.200, -0.035, 0.160))
     midplane: float = -0.030  # x in base that no arm crosses while both work, m

@@ -88,7 +88,7 @@ class Stack:
                 self._detections = self.detector.detect(reading, pose)
                 self._detections_stamp = reading.stamp
                 self.tracker.update(reading.stamp, self._detections, pose)
-        elif isinstance(reading, RgbdFrame):
+        elif isinstance(reading, RgbdFrame) and not self.drive.done:
             self.distance.update(reading, self.fused.history.at(reading.stamp))
         elif isinstance(reading, Order):
             self.order = reading
