@@ -136,7 +136,7 @@ def test_out_of_reach_says_why(position, words):
 def test_whole_workplace_is_within_reach(arm):
     """Every slot, and the belt window at every height, elbow up and away from singularities."""
     T_mount_base = inverse(arm_mounts()[arm])
-    windows = ((0.04, 0.28), (-0.50, -0.10))
+    windows = ((0.03, 0.22), (-0.50, -0.10))
     points = [s + np.array([0, 0, dz]) for s in Tray().slots() for dz in (0.008, 0.12)]
     points += [
         np.array([x, y, z])

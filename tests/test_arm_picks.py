@@ -32,7 +32,7 @@ def touching(bench):
 
 @pytest.mark.parametrize(("arm", "speed"), [(0, 0.0), (0, 0.15), (1, 0.05), (1, 0.5)])
 def test_pick_and_place(arm, speed, record_property):
-    high = (0.28, -0.10)[arm]
+    high = (0.22, -0.10)[arm]
     x = (0.15, -0.30)[arm] if speed == 0.0 else high + 0.12 + speed * 2.0
     zero = np.random.default_rng(7).normal(0, ARM_JOINT_ZERO, 6)
     bench = ArmBench(arm, speed, (x, 0.46, PART_YAW), SLOTS[arm], zero)
