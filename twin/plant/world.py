@@ -17,6 +17,7 @@ from twin.plant.grips import Grip, GripWatcher
 from twin.plant.shapes import Shape, shapes_of
 
 ARMS = ("arm0", "arm1")
+GRIP_STEPS = 5  # physics steps between looks at what the hands hold: once a tick of the stack
 
 
 # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder.
@@ -92,7 +93,7 @@ class World:
         )
         self._tcp = [m.site(f"{a}/tcp").id for a in ARMS]
         self._counter = CollisionCounter(m)
-        self._grips = GripWatcher(m)
+        self._grips, self._steps = GripWatcher(m), 0
         self._stale = False
         mujoco.mj_forward(m, self.data)
 
@@ -118,7 +119,9 @@ class World:
             self._stale = False
         before = self.data.time
         mujoco.mj_step2(self.model, self.data)
-        self._grips.observe(self.data)  # here, since these contacts have their forces now
+        self._steps += 1
+        if self._steps % GRIP_STEPS == 0:  # here, since these contacts have their forces now
+            self._grips.observe(self.data)
         mujoco.mj_step1(self.model, self.data)
         if self.data.warning.number.any():
             raise PlantError(f"MuJoCo warned at {before:.3f} s: {_last_warning[-1]}")
