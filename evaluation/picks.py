@@ -2,17 +2,20 @@
 
 Definitions: an attempt is a gripper close command; time at the line runs from the first stop in
 the pick zone to leaving it; a part is delivered when it lies at rest in a slot with the vehicle
-stopped within 10 cm of the receiving point; missed is a still-wanted part that left the pick window.
+stopped within 10 cm of the receiving point; missed is a still-wanted part that left the pick
+window.
 """
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from twin.geometry import apply, inverse, rot_z
 from twin.layout import Layout
 from twin.loop import Tick
+from twin.messages import PartClass
 from twin.stack.config import StackConfig
 
 STOPPED = 0.01  # m/s: slower than this the vehicle stands
@@ -68,10 +71,10 @@ class PickMonitor:
         if self.stopped_at is None and near and speed < STOPPED:
             self.stopped_at, self.stop_pose = t, pose.copy()
             self.events.append((t, "stopped at the line"))
-        elif self.stopped_at is not None and self.left_at is None:
-            if np.hypot(*(pose[:2] - self.stop_pose[:2])) > LEFT:
-                self.left_at = t
-                self.events.append((t, "left the line"))
+        away = np.hypot(*(pose[:2] - self.stop_pose[:2])) > LEFT
+        if self.stopped_at is not None and self.left_at is None and away:
+            self.left_at = t
+            self.events.append((t, "left the line"))
 
     # --- the grippers --------------------------------------------------------------------------
 
@@ -79,9 +82,9 @@ class PickMonitor:
         truth = tick.truth
         for command in tick.commands.grippers:
             # A close command is one below the opening last asked for; opening again ends it.
-            if command.width < self._width[command.arm] - 0.002 and command.force > 0:
-                if self._closing(command.width):
-                    self._attempt(tick, command.arm)
+            closer = command.width < self._width[command.arm] - 0.002 and command.force > 0
+            if closer and self._closing(command.width):
+                self._attempt(tick, command.arm)
             self._width[command.arm] = command.width
         for arm, grip in enumerate(truth.grips):
             self.grip_force_max = max(self.grip_force_max, grip.force)
@@ -170,7 +173,7 @@ class PickMonitor:
         speed = np.linalg.norm(tick.truth.part_velocity, axis=1)
         at_rest = {n for n, v in zip(tick.truth.part_names, speed, strict=True) if v < AT_REST}
         at_rest &= set(lying)
-        slotted = Counter(part_class(n) for n in at_rest) if there else Counter()
+        slotted: Counter[PartClass] = Counter(part_class(n) for n in at_rest if there)
         order = self.layout.world.order
         delivered = sum(min(slotted[c], order.get(c, 0)) for c in slotted)
         at_line = (self.left_at or nan) - self.stopped_at if self.stopped_at is not None else nan
@@ -194,9 +197,9 @@ class PickMonitor:
         }
 
 
-def part_class(name: str) -> str:
+def part_class(name: str) -> PartClass:
     """Class of a part by its name `part_<class>_<k>`."""
-    return name.removeprefix("part_").rpartition("_")[0]
+    return cast(PartClass, name.removeprefix("part_").rpartition("_")[0])
 
 
 def _p95(values: list[float]) -> float:

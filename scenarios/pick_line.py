@@ -71,7 +71,9 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
         complete=complete,
         trajectories=paths.trajectories(),
         notes=[f"{stamp:.2f} s: {text}" for stamp, text in picks.events]
-        + [f"{c.stamp:.2f} s: collision {c.kind}: {c.first}, {c.second}" for c in collisions(plant)],
+        + [
+            f"{c.stamp:.2f} s: collision {c.kind}: {c.first}, {c.second}" for c in collisions(plant)
+        ],
     )
 
 

@@ -23,7 +23,9 @@ candidates = st.lists(
 def test_an_arm_leaves_the_part_that_only_the_other_can_reach():
     """Expected result: arm 0 takes the later part, since arm 1 reaches only the early one."""
     c = PART_CLASSES[0]
-    found = allot([Candidate(0, 1, c, 1.0), Candidate(0, 2, c, 2.0), Candidate(1, 1, c, 1.5)], {c: 5})
+    found = allot(
+        [Candidate(0, 1, c, 1.0), Candidate(0, 2, c, 2.0), Candidate(1, 1, c, 1.5)], {c: 5}
+    )
     assert {(x.arm, x.track_id) for x in found} == {(0, 2), (1, 1)}
 
 

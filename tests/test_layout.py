@@ -2,14 +2,8 @@
 
 import pytest
 
-from twin.layout import (
-    SHORT_NAMES,
-    LayoutError,
-    load_layout,
-    models_dir,
-    rectangle,
-    rectangles_overlap,
-)
+from twin.geometry import rectangle, rectangles_overlap
+from twin.layout import SHORT_NAMES, LayoutError, load_layout, models_dir
 from twin.messages import PART_CLASSES
 
 
@@ -99,3 +93,19 @@ def test_overlap_of_turned_rectangles():
     first = rectangle(0, 0, 0.785398, 2.0, 0.1)
     assert not rectangles_overlap(first, rectangle(0.5, -0.5, 0.785398, 2.0, 0.1))
     assert rectangles_overlap(first, rectangle(0.5, 0.5, -0.785398, 2.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("site.pick=[4.0, 3.2, -1.5707963]", "belt must run against"),
+        ("site.pick=[4.1, 3.2, 1.5707963]", "0.45 m to the left"),
+        ("site.pick=[4.0, 4.2, 1.5707963]", "ahead of the vehicle"),
+        ("site.route_to_pick=[[0.0, 3.2, 0.0]]", "would run into the belt"),
+        ("site.line.length=4.0", "bin"),
+        ("world.feeder.lateral=0.07", "takes at most 0.060"),
+    ],
+)
+def test_a_cell_that_could_not_work_is_refused(override, words):
+    with pytest.raises(LayoutError, match=words):
+        load_layout(None, (override,))

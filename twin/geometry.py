@@ -5,6 +5,8 @@ cancel when transforms are chained: `T_a_c = T_a_b @ T_b_c`. Angles in radians, 
 A planar pose is an array `(x, y, yaw)`.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,3 +120,32 @@ def look_at(eye, target, up=(0.0, 0.0, 1.0)) -> Array:
     x = np.cross(z, np.asarray(up, dtype=float))
     x /= np.linalg.norm(x)
     return transform(np.column_stack([x, np.cross(z, x), z]), eye)
+
+
+def swept_rectangles(a, b, length: float, width: float, pieces: int = 40):
+    """Rectangles of a body on its straight way from pose (x, y, yaw) a to b, turning evenly."""
+    turn = math.remainder(b[2] - a[2], 2 * math.pi)
+    for i in range(pieces + 1):
+        k = i / pieces
+        x, y = a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1])
+        yield rectangle(x, y, a[2] + k * turn, length, width)
+
+
+def rectangle(x, y, yaw, length, width) -> list[tuple[float, float]]:
+    """Corners of a rectangle centred at (x, y), its length along yaw."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    half = [(length / 2, width / 2), (-length / 2, width / 2)]
+    half += [(-a, -b) for a, b in half]
+    return [(x + c * a - s * b, y + s * a + c * b) for a, b in half]
+
+
+def rectangles_overlap(first, second) -> bool:
+    """Separating-axis test of two rectangles given by their corners in order."""
+    for box in (first, second):
+        for i in range(2):
+            ax, ay = box[i + 1][0] - box[i][0], box[i + 1][1] - box[i][1]
+            a = [ax * px + ay * py for px, py in first]
+            b = [ax * px + ay * py for px, py in second]
+            if max(a) <= min(b) or max(b) <= min(a):
+                return False
+    return True

@@ -7,11 +7,13 @@ works.
 
 import math
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from twin.geometry import rectangle, rectangles_overlap, swept_rectangles
 from twin.messages import PART_CLASSES, PartClass
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -20,6 +22,9 @@ Pose2 = tuple[Finite, Finite, Finite]  # x, y, yaw
 Interval = tuple[Finite, Finite]
 
 FOOTPRINT = (0.70, 0.50)  # vehicle, m
+BIN_LENGTH = 0.45  # m past the belt's end
+BELT_LEFT = 0.45  # m from the vehicle's centre to the belt's: what the arms reach best
+BELT_AHEAD, BELT_BEHIND = 1.2, 0.7  # m of belt that camera and hood, and the rear arm need
 
 
 class LayoutError(ValueError):
@@ -57,28 +62,67 @@ class Site(_Model):
     hall: Hall
 
     @model_validator(mode="after")
-    def _nothing_overlaps(self):
-        line_box = rectangle(
-            *_along(self.line, self.line.length / 2),
-            self.line.direction,
-            self.line.length,
-            self.line.width + 0.04,
-        )
+    def _can_be_built(self):
         x, y = self.hall.x, self.hall.y
         if x[0] >= x[1] or y[0] >= y[1]:
             raise ValueError("hall: each interval must go from low to high")
+        # The belt with its rails and, past its end, the bin.
+        length = self.line.length + BIN_LENGTH
+        machine = rectangle(
+            *_along(self.line, length / 2), self.line.direction, length, self.line.width + 0.04
+        )
+        if not self._inside(machine):
+            raise ValueError("line: belt and bin reach outside the hall")
+        for name, pose in self._stations().items():
+            box = rectangle(*pose, *FOOTPRINT)
+            if rectangles_overlap(box, machine):
+                raise ValueError(f"{name}: the vehicle would stand in the belt")
+            if not self._inside(box):
+                raise ValueError(f"{name}: the vehicle would stand outside the hall")
+        for (first, a), (second, b) in self._legs():
+            if any(rectangles_overlap(box, machine) for box in swept_rectangles(a, b, *FOOTPRINT)):
+                raise ValueError(f"from {first} to {second} the vehicle would run into the belt")
+        return self
+
+    @model_validator(mode="after")
+    def _belt_is_within_reach(self):
+        """The vehicle picks off a belt on its left that comes towards it."""
+        dx, dy = self.line.origin[0] - self.pick[0], self.line.origin[1] - self.pick[1]
+        c, s = math.cos(self.pick[2]), math.sin(self.pick[2])
+        ahead, left = c * dx + s * dy, -s * dx + c * dy
+        turn = math.remainder(self.line.direction - self.pick[2] - math.pi, 2 * math.pi)
+        if abs(turn) > math.radians(1.0):
+            raise ValueError("pick: the belt must run against the vehicle's heading (yaw + pi)")
+        if abs(left - BELT_LEFT) > 0.02:
+            raise ValueError(
+                f"pick: the belt's centre line must run {BELT_LEFT} m to the left of the vehicle,"
+                f" give or take 0.02 (it runs {left:.2f} m to the left)"
+            )
+        if ahead < BELT_AHEAD or self.line.length - ahead < BELT_BEHIND:
+            raise ValueError(
+                f"pick: the belt must reach {BELT_AHEAD} m ahead of the vehicle and {BELT_BEHIND} m"
+                f" behind (it reaches {ahead:.2f} and {self.line.length - ahead:.2f} m)"
+            )
+        return self
+
+    def _stations(self) -> dict[str, Pose2]:
         named = {"dock": self.dock, "pick": self.pick, "receiving": self.receiving}
         named |= {f"route_to_pick[{i}]": p for i, p in enumerate(self.route_to_pick)}
-        named |= {f"route_to_receiving[{i}]": p for i, p in enumerate(self.route_to_receiving)}
-        for name, pose in named.items():
-            box = rectangle(*pose, *FOOTPRINT)
-            if rectangles_overlap(box, line_box):
-                raise ValueError(f"{name}: the vehicle would stand in the belt")
-            if any(not (x[0] < px < x[1] and y[0] < py < y[1]) for px, py in box):
-                raise ValueError(f"{name}: the vehicle would stand outside the hall")
-        if any(not (x[0] < px < x[1] and y[0] < py < y[1]) for px, py in line_box):
-            raise ValueError("line: the belt reaches outside the hall")
-        return self
+        return named | {
+            f"route_to_receiving[{i}]": p for i, p in enumerate(self.route_to_receiving)
+        }
+
+    def _legs(self):
+        """Pairs of named poses between which the vehicle drives."""
+        named = self._stations()
+        there = ["dock", *(n for n in named if n.startswith("route_to_pick")), "pick"]
+        away = ["pick", *(n for n in named if n.startswith("route_to_receiving")), "receiving"]
+        for names in (there, away):
+            yield from pairwise((n, named[n]) for n in names)
+
+    def _inside(self, box) -> bool:
+        x, y = self.hall.x, self.hall.y
+        return all(x[0] < px < x[1] and y[0] < py < y[1] for px, py in box)
 
 
 class LineWorld(_Model):
@@ -131,6 +175,16 @@ class Layout(_Model):
     site: Site
     world: World
     options: Options = Options()
+
+    @model_validator(mode="after")
+    def _parts_stay_on_the_belt(self):
+        most = self.site.line.width / 2 - 0.04
+        if self.world.feeder.lateral > most + 1e-9:
+            raise ValueError(
+                f"world.feeder.lateral: {self.world.feeder.lateral} m;"
+                f" a belt this wide takes at most {most:.3f} m"
+            )
+        return self
 
 
 SHORT_NAMES = {
@@ -233,23 +287,3 @@ def _along(line: Line, distance: float) -> tuple[float, float]:
         line.origin[0] + distance * math.cos(line.direction),
         line.origin[1] + distance * math.sin(line.direction),
     )
-
-
-def rectangle(x, y, yaw, length, width) -> list[tuple[float, float]]:
-    """Corners of a rectangle centred at (x, y), its length along yaw."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    half = [(length / 2, width / 2), (-length / 2, width / 2)]
-    half += [(-a, -b) for a, b in half]
-    return [(x + c * a - s * b, y + s * a + c * b) for a, b in half]
-
-
-def rectangles_overlap(first, second) -> bool:
-    """Separating-axis test of two rectangles given by their corners in order."""
-    for box in (first, second):
-        for i in range(2):
-            ax, ay = box[i + 1][0] - box[i][0], box[i + 1][1] - box[i][1]
-            a = [ax * px + ay * py for px, py in first]
-            b = [ax * px + ay * py for px, py in second]
-            if max(a) <= min(b) or max(b) <= min(a):
-                return False
-    return True

@@ -2,7 +2,8 @@
 
 All are frozen dataclasses. `stamp` is the time of exposure or sampling in seconds of the run's
 clock; a reading arrives later than its stamp, by the sensor's latency. Units are SI. Wheels stand
-in the order front-left, front-right, rear-left, rear-right. Arms are numbered 0 (front) and 1 (rear).
+in the order front-left, front-right, rear-left, rear-right. Arms are numbered 0 (front) and 1
+(rear).
 """
 
 from dataclasses import dataclass, field

@@ -81,7 +81,7 @@ def watched_loop(seed: int, watch: Stopwatch) -> Loop:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="simulated seconds a run")
     parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args()
@@ -105,9 +105,7 @@ def _table(watch: Stopwatch, busy: float) -> Table:
     table = Table("stage", "calls", "ms a call", "share of the loop")
     for label, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1]):
         calls = watch.calls[label]
-        table.add_row(
-            label, str(calls), f"{1e3 * seconds / calls:.3f}", f"{seconds / busy:.1%}"
-        )
+        table.add_row(label, str(calls), f"{1e3 * seconds / calls:.3f}", f"{seconds / busy:.1%}")
     table.add_row("loop", "", "", "100.0%")
     return table
 

@@ -83,7 +83,9 @@ class CollisionCounter:
             return
         for g1, g2 in geom[bad & (data.contact.dist < 0)].tolist():
             kind = self._name[self._kind[g1]][self._kind[g2]]
-            key = (kind, *sorted((int(self._bodies[g1]), int(self._bodies[g2]))))
+            assert kind is not None  # or it would not be bad
+            low, high = sorted((int(self._bodies[g1]), int(self._bodies[g2])))
+            key = (kind, low, high)
             if time - self._last_seen.get(key, -np.inf) > GAP:
                 self.onsets.append(Collision(time, kind, self._labels[g1], self._labels[g2]))
             self._last_seen[key] = time

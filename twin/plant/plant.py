@@ -22,6 +22,7 @@ from twin.plant.world import Truth, World
 PARKED_WIDTH = 0.025  # m between the pads at the start
 STEPS_PER_TICK = 5  # physics steps of 2 ms in a tick of the stack
 
+
 class OrderDesk:
     """Sends the order once, at the start, over the plant's network."""
 

@@ -111,7 +111,11 @@ class Stack:
                 Act("ready arms", self._arms_ready, self.distance.reset),
             ),
             Act("pick", self._picked, self._start_picking),
-            Act("stow arms", self._arms_idle, lambda: [w.motion.go_stow(self.now) for w in self.arms]),
+            Act(
+                "stow arms",
+                self._arms_idle,
+                lambda: [w.motion.go_stow(self.now) for w in self.arms],
+            ),
             Act("deliver", self._arrived, lambda: self._go((*to_receiving, site.receiving))),
             Act("done", lambda: False),
         )

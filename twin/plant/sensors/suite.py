@@ -20,7 +20,7 @@ class Sensor(Protocol):
     period: float
     latency: float
 
-    def sample(self, stamp: float, model: Any, data: Any) -> Reading | Future[Reading]:
+    def sample(self, stamp: float, model: Any, data: Any) -> Reading | Future[Any]:
         """Expose now. Reads truth, draws its own noise."""
         ...
 
@@ -37,7 +37,7 @@ class SensorSuite:
         self._sensors = tuple(sensors)
         self._latency_scale = latency_scale
         self._exposures = [0] * len(self._sensors)  # made so far
-        self._pending: list[tuple[float, int, Reading | Future[Reading]]] = []
+        self._pending: list[tuple[float, int, Reading | Future[Any]]] = []
 
     def sample(self, stamp: float, model, data) -> None:
         """Expose every sensor that is due. Call once at each physics step, also at time zero.

@@ -30,7 +30,7 @@ class CountDecoder:
     @property
     def angle(self) -> Array:
         """Of the wheels since the first call, rad. Shape (4,)."""
-        return self.total * self._angle
+        return np.asarray(self.total * self._angle, dtype=np.float64)
 
     def update(self, ticks: NDArray[np.uint16]) -> Array:
         """Take the counters' present state; returns wheel speeds in rad/s. Shape (4,).

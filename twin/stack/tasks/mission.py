@@ -37,7 +37,5 @@ def together(name: str, *children: py_trees.behaviour.Behaviour) -> py_trees.com
 
 def running(root: py_trees.behaviour.Behaviour) -> str:
     """Names of the running leaves, for the record."""
-    leaves = [
-        b.name for b in root.iterate() if not b.children and b.status is Status.RUNNING
-    ]
+    leaves = [b.name for b in root.iterate() if not b.children and b.status is Status.RUNNING]
     return " + ".join(leaves) if leaves else root.status.value.lower()
