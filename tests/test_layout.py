@@ -98,14 +98,21 @@ def test_overlap_of_turned_rectangles():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("site.pick=[4.0, 3.2, -1.5707963]", "belt must run against"),
+        ("site.line.direction=1.5707963", "reach outside the hall"),
         ("site.pick=[4.1, 3.2, 1.5707963]", "0.45 m to the left"),
         ("site.pick=[4.0, 4.2, 1.5707963]", "ahead of the vehicle"),
         ("site.route_to_pick=[[0.0, 3.2, 0.0]]", "would run into the belt"),
-        ("site.line.length=4.0", "bin"),
+        ("site.line.length=4.0", "stand in the belt"),
         ("world.feeder.lateral=0.07", "takes at most 0.060"),
     ],
 )
 def test_a_cell_that_could_not_work_is_refused(override, words):
     with pytest.raises(LayoutError, match=words):
         load_layout(None, (override,))
+
+
+def test_a_belt_that_runs_with_the_vehicle_is_refused():
+    """Expected result: refused, since the mast camera would see parts only when they are past."""
+    overrides = ("site.line.direction=1.5707963", "site.line.origin=[3.55, 2.0]")
+    with pytest.raises(LayoutError, match="must run against the vehicle's heading"):
+        load_layout(None, overrides)
