@@ -159,6 +159,11 @@ class PickMonitor:
                 inside[name] = float(np.hypot(*offset[i]))
         return inside
 
+    def counts(self) -> dict[str, float]:
+        """What has happened so far, for plots over time."""
+        seen = {"attempts": self.attempts, "lifted": len(self.gripped), "missed": len(self.missed)}
+        return {name: float(n) for name, n in seen.items()}
+
     # --- the end -------------------------------------------------------------------------------
 
     def metrics(self) -> dict[str, float]:

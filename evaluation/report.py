@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,12 @@ def report_table(report: dict[str, Any]) -> Table:
         verdict = "[green]met[/]" if limit["passed"] else "[red]not met[/]"
         table.add_row(name, shown, f"{limit['op']} {limit['limit']:g}", verdict)
     return table
+
+
+def metrics_page(metrics: Mapping[str, float]) -> str:
+    """Metrics as a table in Markdown."""
+    rows = [f"| {n} | {format_value(v) if math.isfinite(v) else ''} |" for n, v in metrics.items()]
+    return "\n".join(["| metric | value |", "|---|---:|", *rows])
 
 
 def format_value(value: float) -> str:

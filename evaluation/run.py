@@ -32,7 +32,8 @@ class RunRequest:
         seed: of the run's one random generator.
         out: folder that receives the scenario's own files, `recording.rrd` among them.
         duration: simulated seconds after which the run is cut short; None runs to its end.
-        record: whether to write a recording.
+        record: whether to write `recording.rrd` for the viewer.
+        log: whether to write `readings.log` for replay.
         viewer: whether to open MuJoCo's viewer.
         progress: called now and then with simulated time, expected total (s) and a short text.
     """
@@ -41,6 +42,7 @@ class RunRequest:
     out: Path
     duration: float | None = None
     record: bool = False
+    log: bool = False
     viewer: bool = False
     progress: Callable[[float, float, str], None] = no_progress
 

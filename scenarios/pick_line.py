@@ -8,13 +8,15 @@ import numpy as np
 
 from evaluation.ape import pose_errors
 from evaluation.picks import PickMonitor
+from evaluation.report import metrics_page
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
 from twin.layout import Layout
 from twin.loop import Loop
 from twin.plant.live_viewer import LiveViewer
 from twin.plant.plant import Plant
-from twin.recording.recording import Recording
+from twin.recording.log import ReadingsLog
+from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import nominal_config
 from twin.stack.control_unit import ControlUnit
 from twin.stack.stack import Stack
@@ -39,7 +41,10 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     picks, paths = PickMonitor(layout, config), TrajectoryMonitor()
     watchers: list = []
     if request.record:
-        watchers.append(Recording(request.out, plant.world, config))
+        rrd = request.out / "recording.rrd"
+        watchers.append(ViewerLog(rrd, plant.world, config, picks.counts))
+    if request.log:
+        watchers.append(ReadingsLog(request.out / "readings.log", config.site, config.options))
     if request.viewer:
         watchers.append(LiveViewer(plant.world))
     loop = Loop(plant, stack, ControlUnit(config.wheels), (picks, paths, *watchers))
@@ -58,12 +63,15 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     except KeyboardInterrupt:
         pass  # what was measured so far is reported, marked incomplete
     finally:
+        figures = metrics(plant, picks, paths)
         for watcher in watchers:
+            if isinstance(watcher, ViewerLog):
+                watcher.metrics(metrics_page(figures))
             watcher.close()
         plant.close()
     timed, busy = plant.time - warm[0], loop.busy_s - warm[1]
     return RunResult(
-        metrics=metrics(plant, picks, paths),
+        metrics=figures,
         criteria=CRITERIA,
         sim_time=plant.time,
         wall_time=loop.busy_s,

@@ -40,7 +40,7 @@ print(ticks, moved, detected)
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("run") / "out"
-    run = ["run", "pick_line", "--record", "--duration", str(SECONDS), "--out", str(out)]
+    run = ["run", "pick_line", "--log", "--duration", str(SECONDS), "--out", str(out)]
     assert main([*run, "--set", *NEAR]) == 1
     assert not (out / "error.txt").exists(), (out / "error.txt").read_text()
     return out

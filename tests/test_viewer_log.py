@@ -23,8 +23,8 @@ from twin.messages import (
     StackState,
     TrackedPart,
 )
-from twin.recording.log import read_log
-from twin.recording.recording import Recording
+from twin.recording.log import ReadingsLog, read_log
+from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import StackConfig
 
 KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
@@ -98,14 +98,18 @@ def tick(t: float):
 
 def record(folder: Path, seconds: float, close: bool = True) -> None:
     layout, cell = load_layout(), Cell()
-    recording = Recording(folder, cell, StackConfig(layout.site, layout.options))
+    config = StackConfig(layout.site, layout.options)
+    log = ReadingsLog(folder / "readings.log", config.site, config.options)
+    viewer = ViewerLog(folder / "recording.rrd", cell, config, lambda: {"attempts": 2.0})
     for k in range(round(seconds * 100)):
         now = tick(k * 0.01)
         cell.time = now.stamp + 0.01
-        recording.observe(now)
+        log.observe(now)
+        viewer.observe(now)
     if close:
-        recording.viewer.metrics("| metric | value |\n|---|---|\n| missed | 0 |")
-        recording.close()
+        viewer.metrics("| metric | value |\n|---|---|\n| missed | 0 |")
+        viewer.close()
+        log.close()
 
 
 def rows(path: Path) -> Counter[str]:
@@ -125,7 +129,8 @@ def test_everything_is_there_at_its_rate(tmp_path):
     assert count["/world/estimate/lidar"] == count["/events"] == 300
     assert count["/world/estimate"] == count["/errors/estimate_position_mm"] == 60
     assert count["/world/paths/true"] == count["/world/paths/wheels"] == 14
-    assert count["/picks/arm1_width_mm"] == 300
+    assert count["/grippers/arm1_width_mm"] == 300
+    assert count["/picks/attempts"] == 60
     assert count["/goals/lookahead"] == count["/world/tracks"] == 60
     assert {f"/world/vehicle/agv_body2/{KINDS[2]}", "/metrics"} <= count.keys()
     assert RrdReader(tmp_path / "recording.rrd").blueprints()

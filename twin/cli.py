@@ -55,7 +55,9 @@ class Run:
     out: Path | None = None
     """Folder of the run's files. Default: runs/NAME-seedN."""
     record: bool = False
-    """Write recording.rrd, for `rerun`, and readings.log, for replay."""
+    """Write recording.rrd, for `rerun`."""
+    log: bool = False
+    """Write readings.log, for replay: up to 10 MB a simulated second."""
     viewer: bool = False
     """Open MuJoCo's viewer; needs a display."""
     layout: Path | None = None
@@ -128,6 +130,7 @@ def _run(asked: Run, package: str) -> int:
                 out=folder.working,
                 duration=asked.duration,
                 record=asked.record,
+                log=asked.log,
                 viewer=asked.viewer,
                 progress=progress,
             )

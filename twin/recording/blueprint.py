@@ -40,6 +40,7 @@ def blueprint(site: Site) -> rrb.Blueprint:
     plots = rrb.Tabs(
         rrb.TimeSeriesView(name="errors", origin="errors"),
         rrb.TimeSeriesView(name="picks", origin="picks"),
+        rrb.TimeSeriesView(name="grippers", origin="grippers"),
         rrb.TimeSeriesView(name="drive", origin="drive"),
         rrb.TimeSeriesView(name="goals", origin="goals"),
     )

@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from twin.layout import Options, Site
 from twin.messages import Commands, Reading
 from twin.recording.codec import decode, encode
+
+if TYPE_CHECKING:  # the loop brings the plant with it, which a replay does not have
+    from twin.loop import Tick
 
 _MAGIC = b"TWINLOG1"
 _LENGTHS = struct.Struct("<II")  # of text and payload
@@ -45,6 +48,10 @@ class ReadingsLog:
         self._worker = ThreadPoolExecutor(1, "readings-log")
         self._pending: deque[Future[None]] = deque()
         self._write({"site": site.model_dump_json(), "options": options.model_dump_json()})
+
+    def observe(self, tick: "Tick") -> None:
+        """Append what went into the stack and what came out."""
+        self.write(tick.stamp, tick.readings, tick.commands)
 
     def write(self, stamp: float, readings: tuple[Reading, ...], commands: Commands) -> None:
         """Append a tick. The messages must not change afterwards."""

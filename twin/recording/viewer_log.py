@@ -1,5 +1,6 @@
 """A run for the rerun viewer: what is true, what the stack believes, what the sensors see."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,10 +34,17 @@ class ViewerLog:
         path: file to write.
         world: the cell, for its shapes and where they are.
         config: what the stack was told of vehicle and site.
+        counts: called at every plotted moment; numbers by name, plotted as picks/<name>.
     """
 
-    def __init__(self, path: Path, world: "World", config: StackConfig):
-        self._world = world
+    def __init__(
+        self,
+        path: Path,
+        world: "World",
+        config: StackConfig,
+        counts: Callable[[], Mapping[str, float]] = dict,
+    ):
+        self._world, self._counts = world, counts
         self._out = rr.RecordingStream("twin")
         self._out.save(path, default_blueprint=blueprint(config.site))
         self._columns = Columns(self._out)
@@ -71,7 +79,7 @@ class ViewerLog:
         self._out.log("events", rr.TextLog(text, level=level))
 
     def plot(self, stamp: float, name: str, value: float) -> None:
-        """A value over time; `name` is picks/..., errors/..., drive/... or goals/..."""
+        """A value over time; `name` is picks/..., errors/..., drive/..., ..."""
         self._columns.scalar(name, stamp, value)
 
     def metrics(self, markdown: str) -> None:
@@ -145,6 +153,8 @@ class ViewerLog:
             self.plot(t, "drive/distance_to_pick", state.distance_to_pick)
         for name, value in state.goals.items():
             self.plot(t, f"goals/{name}", value)
+        for name, value in self._counts().items():
+            self.plot(t, f"picks/{name}", value)
         self._tracks(t, state)
 
     def _tracks(self, t: float, state: StackState) -> None:
@@ -182,7 +192,7 @@ class ViewerLog:
         elif isinstance(reading, LidarScan):
             self._lidar(reading)
         elif isinstance(reading, GripperReading):
-            name = f"picks/arm{reading.arm}"
+            name = f"grippers/arm{reading.arm}"
             self.plot(reading.stamp, f"{name}_width_mm", 1e3 * reading.width)
             self.plot(reading.stamp, f"{name}_force_n", reading.force)
 
