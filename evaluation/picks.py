@@ -24,7 +24,6 @@ LEFT = 0.10  # m from where it stopped: it has left
 AT_RECEIVING = 0.10  # m
 AT_REST = 0.02  # m/s
 LIFTED = 0.02  # m above the resting height: held, not lying
-WINDOW = (-0.55, 0.33)  # m along x of the base at the pick pose: what the arms can reach
 
 
 @dataclass
@@ -38,6 +37,8 @@ class PickMonitor:
 
     def __init__(self, layout: Layout, config: StackConfig):
         self.layout, self.config = layout, config
+        # m along x of the base: what is behind it no working arm can reach any more.
+        self._window_end = min(w[0] for w in config.pick_windows[: config.options.arms])
         self.stopped_at: float | None = None
         self.left_at: float | None = None
         self.stop_pose = np.zeros(3)
@@ -136,7 +137,7 @@ class PickMonitor:
             before = self._before.get(name)
             self._before[name] = x
             on_belt = abs(z - line.height) < 0.05 and name not in held
-            if before is None or not on_belt or not before >= WINDOW[0] > x:
+            if before is None or not on_belt or not before >= self._window_end > x:
                 continue
             c = part_class(name)
             if in_tray[c] + in_hand[c] < self.layout.world.order.get(c, 0):
