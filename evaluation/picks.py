@@ -179,6 +179,7 @@ class PickMonitor:
         speed = np.linalg.norm(tick.truth.part_velocity, axis=1)
         at_rest = {n for n, v in zip(tick.truth.part_names, speed, strict=True) if v < AT_REST}
         at_rest &= set(lying)
+        in_hand = {h.part for h in self._held.values()}
         slotted: Counter[PartClass] = Counter(part_class(n) for n in at_rest if there)
         order = self.layout.world.order
         delivered = sum(min(slotted[c], order.get(c, 0)) for c in slotted)
@@ -192,7 +193,7 @@ class PickMonitor:
             "cycle_time_s": at_line / delivered if delivered else nan,
             "attempts": float(self.attempts),
             "pick_success": delivered / self.attempts if self.attempts else nan,
-            "dropped": float(len(self.gripped - set(lying))),
+            "dropped": float(len(self.gripped - set(lying) - in_hand)),
             "missed": float(len(self.missed)),
             "wrong_class": float(sum(slotted.values()) - delivered),
             "placement_error_max_mm": 1e3 * max((lying[n] for n in at_rest), default=nan),
