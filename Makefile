@@ -12,9 +12,9 @@ demo: $(VENV)/.runtime  ## Run the cell once with a recording
 	  echo "watch it: $(BIN)/rerun runs/demo/recording.rrd"; exit $$status
 
 test: $(VENV)/.dev  ## The whole suite
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-slow: $(VENV)/.dev  ## Reference figures of full runs
+test-slow: $(VENV)/.dev  ## Reference figures of full runs: half an hour or more
 	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.dev  ## Style, types, layers

@@ -32,7 +32,7 @@ def figures(reports: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folders", nargs="+", type=Path, help="folders with a report.json each")
     reports = []
     for folder in parser.parse_args().folders:

@@ -11,8 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluation.ape import heading, pose_errors
+from evaluation.figures import figures, main
 from evaluation.plots import plot_errors, plot_paths
-from evaluation.report import build_report, format_value, report_table, verdict, write_report
+from evaluation.report import (
+    build_report,
+    format_value,
+    metrics_page,
+    report_table,
+    verdict,
+    write_report,
+)
 from evaluation.run import Criterion, RunRequest, RunResult
 from twin.geometry import quat_wxyz, rot_x, rot_z
 from twin.layout import load_layout
@@ -174,3 +182,52 @@ def test_plots_show_every_trajectory_that_there_is(tmp_path):
     assert [line.get_label() for line in paths.lines] == ["true", "fused estimate"]
     assert errors.lines[0].get_ydata() == pytest.approx(np.full(5, 2.0))
     plt.close(figure)
+
+
+# --- many runs ------------------------------------------------------------------------------------
+
+
+def report_of(seed: int, passed: bool, **metrics) -> dict:
+    limit = {"name": "ape_max_m", "op": "<=", "limit": 0.1, "passed": passed}
+    return {
+        "scenario": "drift",
+        "seed": seed,
+        "passed": passed,
+        "metrics": metrics,
+        "criteria": [limit],
+    }
+
+
+def test_figures_over_runs():
+    """Expected: median, least and greatest of what was measured, and how many runs passed."""
+    reports = [
+        report_of(102, True, ape_max_m=0.03, missed=None),
+        report_of(101, False, ape_max_m=0.2, missed=4.0),
+        report_of(100, True, ape_max_m=0.01, missed=2.0),
+    ]
+    table = figures(reports)
+    assert "| `ape_max_m` | <= 0.1 | 0.03 | 0.01 | 0.2 |" in table
+    assert "| `missed` |  | 3 | 2 | 4 |" in table
+    assert "2 of 3 runs met every criterion (seeds 100, 101, 102)." in table
+
+
+def test_figures_of_different_scenarios_are_not_mixed(tmp_path, monkeypatch, capsys):
+    for name, scenario in (("a", "drift"), ("b", "other")):
+        (tmp_path / name).mkdir()
+        report = report_of(0, True, ape_max_m=0.0) | {"scenario": scenario}
+        (tmp_path / name / "report.json").write_text(json.dumps(report))
+    monkeypatch.setattr("sys.argv", ["figures", str(tmp_path / "a"), str(tmp_path / "b")])
+    assert main() == 2
+    monkeypatch.setattr("sys.argv", ["figures", str(tmp_path / "nowhere")])
+    assert main() == 2
+    assert capsys.readouterr().err.count("\n") == 2
+    monkeypatch.setattr("sys.argv", ["figures", str(tmp_path / "a")])
+    assert main() == 0
+    assert "1 of 1 runs" in capsys.readouterr().out
+
+
+def test_metrics_page_leaves_out_what_was_not_measured():
+    assert metrics_page({"missed": 2.0, "rtf": NAN}).splitlines()[2:] == [
+        "| missed | 2 |",
+        "| rtf |  |",
+    ]
