@@ -1,0 +1,68 @@
+"""Distance from any point of the floor to the nearest occupied cell, looked up in a table.
+
+The distance that Xu et al., Eq. 21 take for a beam's end point is computed once for a whole map,
+so that weighing a beam costs one look-up.
+"""
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twin.geometry import Array
+
+
+class LikelihoodField:
+    """Exact Euclidean distances between cell centres, up to a limit.
+
+    Args:
+        occupied: which cells hold an obstacle, row i along world y, column j along world x.
+            Shape (h, w), bool.
+        origin: x, y in world of the outer corner of cell [0, 0], m.
+        resolution: edge of a cell, m.
+        max_distance: larger distances read as this, and so does all that is off the map, m.
+
+    Raises:
+        ValueError: for a mask that is not two-dimensional or empty, or figures out of range.
+    """
+
+    def __init__(self, occupied: NDArray[np.bool_], origin, resolution: float, max_distance: float):
+        occupied = np.asarray(occupied, dtype=bool)
+        if occupied.ndim != 2 or occupied.size == 0:
+            raise ValueError(f"likelihood field: mask of shape {occupied.shape}, wanted (h, w)")
+        if not (np.isfinite(resolution) and resolution > 0 and max_distance > 0):
+            raise ValueError(
+                f"likelihood field: resolution {resolution} and limit {max_distance} "
+                "must be positive"
+            )
+        self.origin = np.array(origin, dtype=float)[:2]
+        self.resolution, self.max_distance = float(resolution), float(max_distance)
+        cells = np.full(occupied.shape, np.inf, dtype=np.float32)
+        if occupied.any():  # OpenCV gives no defined distance to nothing
+            cells = cv2.distanceTransform(
+                (~occupied).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+            )
+        distances = np.minimum(cells * np.float32(resolution), np.float32(max_distance))
+        self.distances: NDArray[np.float32] = np.ascontiguousarray(distances, dtype=np.float32)
+
+    def lookup(self, points: Array) -> NDArray[np.float32]:
+        """Distances of points in world to the nearest obstacle, m. Shape (n, 2) to (n,).
+
+        A point that is not finite or lies off the map reads `max_distance`.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        limit = np.float32(self.max_distance)
+        x0, y0 = self.origin
+        return _lookup(self.distances, points, x0, y0, self.resolution, limit)
+
+
+@njit(cache=True)
+def _lookup(distances, points, x0, y0, resolution, limit):
+    h, w = distances.shape
+    found = np.empty(len(points), dtype=np.float32)
+    for i in range(len(points)):
+        column, row = (points[i, 0] - x0) / resolution, (points[i, 1] - y0) / resolution
+        # Written so that NaN fails it, and before the conversion, which truncates towards zero.
+        inside = column >= 0 and column < w and row >= 0 and row < h
+        found[i] = distances[int(row), int(column)] if inside else limit
+    return found
