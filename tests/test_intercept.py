@@ -5,14 +5,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from twin.geometry import apply, inverse, rot_z, transform
 from twin.stack.grasping.intercept import (
     arm_start_delay,
-    camera_in_arm,
     first_feasible,
     intercept,
     time_to_stop,
-    velocity_seen_from,
 )
 
 positive = st.floats(0.05, 3.0)
@@ -58,24 +55,6 @@ def test_standing_vehicle():
     assert time_to_stop(-0.01, 0.1, 0.8) == 0.0
     assert time_to_stop(1.0, 0.0, 0.8) == float("inf")
     assert time_to_stop(1.0, 0.0, 1.0, cruise=5.0) == pytest.approx(2.0)
-
-
-@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
-def test_what_the_camera_saw_is_where_the_arm_goes(a, b, c):
-    T_base_camera = transform(rot_z(a), (0.3, 0.2, 0.9))
-    T_base_arm = transform(rot_z(b), (0.2, 0.0, 0.55))
-    p_camera = np.array([0.1, c, 0.5])
-    p_arm = apply(camera_in_arm(T_base_camera, T_base_arm), p_camera)
-    np.testing.assert_allclose(apply(T_base_arm, p_arm), apply(T_base_camera, p_camera), atol=1e-12)
-
-
-@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
-def test_relative_velocity_is_the_derivative_of_the_relative_place(vx, vy, omega, px, py):
-    part_velocity, p, dt = np.array([0.1, -0.2, 0.0]), np.array([px, py, 0.7]), 1e-6
-    T_start_later = transform(rot_z(omega * dt), (vx * dt, vy * dt, 0.0))
-    later = apply(inverse(T_start_later), p + part_velocity * dt)
-    seen = velocity_seen_from(np.array([vx, vy, omega]), part_velocity, p)
-    np.testing.assert_allclose(seen, (later - p) / dt, atol=1e-5)
 
 
 def reach(base, slope):

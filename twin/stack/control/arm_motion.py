@@ -25,7 +25,7 @@ from twin.stack.control.arm_trajectory import (
     straight,
     table_of,
 )
-from twin.stack.grasping.intercept import first_feasible
+from twin.stack.grasping.intercept import intercept
 
 __all__ = ["ArmMotion", "Grasp", "PickTimes", "PlaceTimes", "TooLate"]
 
@@ -171,29 +171,38 @@ class ArmMotion:
         start = max(now, self.ends_at)
         return self._transfer(self.state(start).q, position, yaw).duration
 
-    def earliest_meeting(self, now: float, grasp: Grasp) -> float:
-        """Earliest time at which the TCP can be at the part, moving with it.
+    def earliest_meeting(
+        self, now: float, grasp: Grasp, window: tuple[float, float] = (-np.inf, np.inf)
+    ) -> float:
+        """Earliest time at which the TCP can be at the part, moving with it, within a window.
 
-        Solves `duration(approach to the state above the part at T) = T - start` by bisection.
+        The part runs along the mount's y; for each place on its way the time to reach it is that
+        of the fastest approach to the state above it, and the descent.
+
+        Args:
+            now: the run's clock, s.
+            grasp: the moving part.
+            window: y in mount within which to meet it, m.
 
         Raises:
             Unreachable: the part is not met within `LATEST` seconds, or passes out of reach.
         """
         start, _, state = self._approach_from(now)
+        y, speed = float(grasp.at(now)[1]), float(grasp.velocity[1])
 
-        def spare(meet: float) -> float:
-            above = meet - DESCENT_TIME
+        def time_to_reach(place: float) -> float:
+            meet = now + (place - y) / speed if speed else start + DESCENT_TIME
             try:
-                goal = self._above(state, grasp, above)
-                return above - start - rendezvous(self.arm, state, goal).duration
+                goal = self._above(state, grasp, meet - DESCENT_TIME)
+                approach = rendezvous(self.arm, state, goal).duration
             except Unreachable:
-                return -1.0
+                return np.inf
+            return start - now + approach + DESCENT_TIME
 
-        begin = start + DESCENT_TIME
-        meet = first_feasible(spare, begin, begin + LATEST)
-        if meet is None:
+        found = intercept(now, y, speed, window, time_to_reach, start - now + LATEST)
+        if found is None:
             raise TooLate(f"arm {self.index} cannot meet this part within {LATEST} s")
-        return meet
+        return found.time
 
     def pick(self, now: float, grasp: Grasp, meet: float) -> PickTimes:
         """Plan a pick whose TCP is at the part at time `meet`.

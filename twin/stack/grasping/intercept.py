@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.geometry import Array, inverse
 
 COARSE = 0.1  # s, step in which the first feasible moment is looked for
 HALVINGS = 10  # then down to 0.1 ms
@@ -74,32 +73,6 @@ def arm_start_delay(
         preparation: time that the arms need from stow to ready, s.
     """
     return time_to_stop(distance, speed, deceleration, cruise) - preparation
-
-
-def camera_in_arm(T_base_camera: Array, T_base_arm: Array) -> Array:
-    """`T_arm_camera` of two things fixed to the vehicle: points a camera saw, for an arm to go to.
-
-    T_arm_camera = T_base_arm^-1 T_base_camera (Li & An 2025, section 3.2: rgbd_link, arms_link and
-    base_link stand rigidly to each other). Shape (4, 4).
-    """
-    return inverse(T_base_arm) @ T_base_camera
-
-
-def velocity_seen_from(base_velocity: Array, part_velocity: Array, p_base: Array) -> Array:
-    """Velocity of a part as arm and camera on the moving vehicle see it, in base. Shape (3,).
-
-        v_rel = v_part - v_base - omega x p
-
-    For omega = 0 every thing on the vehicle has its speed: V_arm = V_camera = V_AGV (Li & An 2025,
-    section 3.2).
-
-    Args:
-        base_velocity: vx, vy, omega of the base, in base axes. Shape (3,).
-        part_velocity: of the part over the ground, in base axes, m/s. Shape (3,).
-        p_base: where the part is, m. Shape (3,).
-    """
-    vx, vy, omega = base_velocity
-    return np.asarray(part_velocity) - (vx - omega * p_base[1], vy + omega * p_base[0], 0.0)
 
 
 # --- intercept ----------------------------------------------------------------------------------

@@ -77,6 +77,10 @@ class ArmWorker:
         self._pick: PickTimes | None = None
         self._place: PlaceTimes | None = None
         self._planned_for = np.zeros(3)
+        # Base x runs along minus mount y.
+        x = config.T_base_arm[index][0, 3]
+        low, high = config.pick_windows[index]
+        self._window = (x - high, x - low)
         self._gripper: GripperReading | None = None
         self._command = GripperCommand(index, config.gripper.stroke / 2, config.gripper.force)
 
@@ -96,19 +100,9 @@ class ArmWorker:
     def earliest(self, now: float, grasp: Grasp) -> float | None:
         """Earliest time to close on a part within this arm's window; None if it cannot be met."""
         try:
-            soonest = self.motion.earliest_meeting(now, grasp)
+            return self.motion.earliest_meeting(now, grasp, self._window)
         except Unreachable:
             return None
-        low, high = self._window()
-        travel = float(-grasp.velocity[1])  # base x runs along minus mount y
-        x = -(grasp.at(soonest)[1])
-        if low <= x <= high:
-            return soonest
-        if abs(travel) < 1e-3:
-            return None
-        # Not yet in the window: wait for it at the window's upstream edge.
-        wait = ((high if travel < 0 else low) - x) / travel
-        return soonest + wait if wait > 0 else None
 
     def take(self, now: float, job: Job, grasp: Grasp) -> bool:
         """Start fetching a part; False if it turns out to be out of reach."""
@@ -199,9 +193,3 @@ class ArmWorker:
 
     def _grip(self, width: float) -> None:
         self._command = GripperCommand(self.index, width, self.config.gripper.force)
-
-    def _window(self) -> tuple[float, float]:
-        """This arm's window along base x, relative to its mount."""
-        x = self.config.T_base_arm[self.index][0, 3]
-        low, high = self.config.pick_windows[self.index]
-        return low - x, high - x
