@@ -187,7 +187,7 @@ def test_plots_show_every_trajectory_that_there_is(tmp_path):
 # --- many runs ------------------------------------------------------------------------------------
 
 
-def report_of(seed: int, passed: bool, **metrics) -> dict:
+def run_of(seed: int, passed: bool, **metrics) -> dict:
     limit = {"name": "ape_max_m", "op": "<=", "limit": 0.1, "passed": passed}
     return {
         "scenario": "drift",
@@ -201,9 +201,9 @@ def report_of(seed: int, passed: bool, **metrics) -> dict:
 def test_figures_over_runs():
     """Expected: median, least and greatest of what was measured, and how many runs passed."""
     reports = [
-        report_of(102, True, ape_max_m=0.03, missed=None),
-        report_of(101, False, ape_max_m=0.2, missed=4.0),
-        report_of(100, True, ape_max_m=0.01, missed=2.0),
+        run_of(102, True, ape_max_m=0.03, missed=None),
+        run_of(101, False, ape_max_m=0.2, missed=4.0),
+        run_of(100, True, ape_max_m=0.01, missed=2.0),
     ]
     table = figures(reports)
     assert "| `ape_max_m` | <= 0.1 | 0.03 | 0.01 | 0.2 |" in table
@@ -214,7 +214,7 @@ def test_figures_over_runs():
 def test_figures_of_different_scenarios_are_not_mixed(tmp_path, monkeypatch, capsys):
     for name, scenario in (("a", "drift"), ("b", "other")):
         (tmp_path / name).mkdir()
-        report = report_of(0, True, ape_max_m=0.0) | {"scenario": scenario}
+        report = run_of(0, True, ape_max_m=0.0) | {"scenario": scenario}
         (tmp_path / name / "report.json").write_text(json.dumps(report))
     monkeypatch.setattr("sys.argv", ["figures", str(tmp_path / "a"), str(tmp_path / "b")])
     assert main() == 2
