@@ -24,12 +24,16 @@ LEFT = 0.10  # m from where it stopped: it has left
 AT_RECEIVING = 0.10  # m
 AT_REST = 0.02  # m/s
 LIFTED = 0.02  # m above the resting height: held, not lying
+LET_GO = 0.10  # s without contact after which the fingers have let go
 
 
 @dataclass
 class _Held:
+    """A part between the fingers of an arm."""
+
     part: str
-    since: float
+    seen: float  # when the fingers last held it
+    lifted: bool = False
 
 
 class PickMonitor:
@@ -48,13 +52,13 @@ class PickMonitor:
         self.intercept_errors: list[float] = []
         self.timing_errors: list[float] = []
         self.missed: list[str] = []
-        self.gripped: set[str] = set()
+        self.lifted: list[str] = []  # once for each time that a part was lifted
+        self.dropped: list[str] = []
         self.events: list[tuple[float, str]] = []
         self._width = {0: np.inf, 1: np.inf}
         self._held: dict[int, _Held] = {}
         self._before: dict[str, float] = {}
         self._last: Tick | None = None
-        self._collected: Counter[str] = Counter()
 
     def observe(self, tick: Tick) -> None:
         self._last = tick
@@ -89,16 +93,26 @@ class PickMonitor:
             self._width[command.arm] = command.width
         for arm, grip in enumerate(truth.grips):
             self.grip_force_max = max(self.grip_force_max, grip.force)
-            if grip.part is None:
-                self._held.pop(arm, None)
+            held = self._held.get(arm)
+            if held and grip.part != held.part and tick.stamp - held.seen > LET_GO:
+                self._let_go(tick, self._held.pop(arm))
+                held = None
+            if grip.part is None or (held and held.part != grip.part):
                 continue
             if self.first_grip is None and self.stopped_at is not None:
                 self.first_grip = tick.stamp
-            held = self._held.get(arm)
-            if held is None or held.part != grip.part:
-                self._held[arm] = _Held(grip.part, tick.stamp)
-            if truth.T_world_part(grip.part)[2, 3] > self.config.site.line.height + LIFTED:
-                self.gripped.add(grip.part)
+            held = self._held.setdefault(arm, _Held(grip.part, tick.stamp))
+            held.seen = tick.stamp
+            height = truth.T_world_part(grip.part)[2, 3] - self.config.site.line.height
+            if height > LIFTED and not held.lifted:
+                held.lifted = True
+                self.lifted.append(grip.part)
+
+    def _let_go(self, tick: Tick, held: _Held) -> None:
+        """A lifted part that leaves the fingers anywhere but in a slot was dropped."""
+        if held.lifted and held.part not in self._in_slots(tick):
+            self.dropped.append(held.part)
+            self.events.append((tick.stamp, f"dropped {held.part}"))
 
     def _closing(self, width: float) -> bool:
         """Whether a command of this opening closes on a part (and is not just a pre-opening)."""
@@ -145,24 +159,23 @@ class PickMonitor:
                 self.events.append((tick.stamp, f"missed {name}"))
 
     def _in_slots(self, tick: Tick) -> dict[str, float]:
-        """Parts lying in a slot: name to distance from the slot's centre, m."""
-        T_base_world = inverse(tick.truth.T_world_base)
-        tray = self.config.tray
-        slots = tray.slots()
-        inside = {}
+        """Parts lying in a slot, one a slot: name to distance from the slot's centre, m."""
+        slots, tray = self.config.tray.slots(), self.config.tray
         held = {h.part for h in self._held.values()}
-        p_base = apply(T_base_world, tick.truth.part_position)
+        p_base = apply(inverse(tick.truth.T_world_base), tick.truth.part_position)
+        best: dict[int, tuple[float, str]] = {}
         for name, p in zip(tick.truth.part_names, p_base, strict=True):
             offset = slots[:, :2] - p[:2]
             i = int(np.argmin(np.hypot(*offset.T)))
             within = np.all(np.abs(offset[i]) < tray.pitch / 2)
             if within and abs(p[2] - tray.floor) < 0.04 and name not in held:
-                inside[name] = float(np.hypot(*offset[i]))
-        return inside
+                distance = float(np.hypot(*offset[i]))
+                best[i] = min(best.get(i, (np.inf, "")), (distance, name))
+        return {name: distance for distance, name in best.values()}
 
     def counts(self) -> dict[str, float]:
         """What has happened so far, for plots over time."""
-        seen = {"attempts": self.attempts, "lifted": len(self.gripped), "missed": len(self.missed)}
+        seen = {"attempts": self.attempts, "lifted": len(self.lifted), "missed": len(self.missed)}
         return {name: float(n) for name, n in seen.items()}
 
     # --- the end -------------------------------------------------------------------------------
@@ -179,11 +192,11 @@ class PickMonitor:
         speed = np.linalg.norm(tick.truth.part_velocity, axis=1)
         at_rest = {n for n, v in zip(tick.truth.part_names, speed, strict=True) if v < AT_REST}
         at_rest &= set(lying)
-        in_hand = {h.part for h in self._held.values()}
         slotted: Counter[PartClass] = Counter(part_class(n) for n in at_rest if there)
         order = self.layout.world.order
         delivered = sum(min(slotted[c], order.get(c, 0)) for c in slotted)
-        at_line = (self.left_at or nan) - self.stopped_at if self.stopped_at is not None else nan
+        stopped = nan if self.stopped_at is None else self.stopped_at
+        at_line = (nan if self.left_at is None else self.left_at) - stopped
         rate = delivered / at_line * 3600 if at_line > 0 else nan
         return {
             "ordered": float(sum(order.values())),
@@ -193,14 +206,14 @@ class PickMonitor:
             "cycle_time_s": at_line / delivered if delivered else nan,
             "attempts": float(self.attempts),
             "pick_success": delivered / self.attempts if self.attempts else nan,
-            "dropped": float(len(self.gripped - set(lying) - in_hand)),
+            "dropped": float(len(self.dropped)),
             "missed": float(len(self.missed)),
             "wrong_class": float(sum(slotted.values()) - delivered),
             "placement_error_max_mm": 1e3 * max((lying[n] for n in at_rest), default=nan),
             "grip_force_max_n": self.grip_force_max,
             "intercept_error_p95_mm": 1e3 * _p95(self.intercept_errors),
             "close_time_error_p95_ms": 1e3 * _p95(self.timing_errors),
-            "first_grip_delay_s": (self.first_grip or nan) - (self.stopped_at or nan),
+            "first_grip_delay_s": (nan if self.first_grip is None else self.first_grip) - stopped,
         }
 
 

@@ -60,7 +60,7 @@ def test_another_file(tmp_path):
         ("site.line.origin.x=1", "origin"),
         ("belt_speed", "key=value"),
         ("site.pick=[3.6, 3.2, 1.57]", "pick: the vehicle would stand in the belt"),
-        ("site.dock=[-0.9, 0.0, 0.0]", "dock: the vehicle would stand outside the hall"),
+        ("site.dock=[-0.9, 0.0, 0.0]", "dock post: reaches outside the hall"),
         ("site.line.origin=[3.55, 5.6]", "outside the hall"),
         ("site.hall.x=[5, 1]", "low to high"),
         ("site.dock=[nan, 0.0, 0.0]", "finite"),
@@ -98,11 +98,16 @@ def test_overlap_of_turned_rectangles():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("site.line.direction=1.5707963", "reach outside the hall"),
+        ("site.line.direction=1.5707963", "belt: reaches outside the hall"),
         ("site.pick=[4.1, 3.2, 1.5707963]", "0.45 m to the left"),
         ("site.pick=[4.0, 4.2, 1.5707963]", "ahead of the vehicle"),
         ("site.route_to_pick=[[0.0, 3.2, 0.0]]", "would run into the belt"),
         ("site.line.length=4.0", "stand in the belt"),
+        ("site.receiving=[6.0, 3.2, 1.57]", "receiving table: reaches outside the hall"),
+        ("site.receiving=[4.3, 4.6, 1.5707963]", "to receiving the vehicle would run into"),
+        ("site.hall.x=[-1, 1e308]", "less than or equal to 1000"),
+        ("order=sma_f_n_m:3,sma_f_n_m:2", "twice"),
+        ("belt_speed=0", "greater than or equal to 0.05"),
         ("world.feeder.lateral=0.07", "takes at most 0.060"),
     ],
 )

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from twin.geometry import rot_x, transform
-from twin.layout import FOOTPRINT, LayoutError, load_layout, models_dir
+from twin.floor_plan import FOOTPRINT
+from twin.layout import LayoutError, load_layout, models_dir
 from twin.plant import factory
 from twin.plant.actuators import wheel_drive
 from twin.plant.as_built import AsBuilt
@@ -186,7 +187,7 @@ def test_broken_model_is_one_clear_line(copied_models):
         factory.load_model(copied_models, "line/line.xml")
 
 
-@pytest.mark.parametrize(("length", "width", "height"), [(2.5, 0.2, 0.7), (1.8, 0.26, 0.72)])
+@pytest.mark.parametrize(("length", "width", "height"), [(2.5, 0.2, 0.7), (2.2, 0.26, 0.72)])
 def test_line_takes_the_layouts_size(length, width, height):
     sizes = {"length": length, "width": width, "height": height}
     layout = load_layout(None, tuple(f"site.line.{k}={v}" for k, v in sizes.items()))

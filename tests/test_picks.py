@@ -91,7 +91,8 @@ class Story:
 
     def release(self, arm: int = 0) -> "Story":
         self.grips = tuple(NOTHING if i == arm else g for i, g in enumerate(self.grips))
-        return self.tick(GripperCommand(arm, 0.04, 20.0))
+        self.tick(GripperCommand(arm, 0.04, 20.0))
+        return self.tick(seconds=0.2)  # by now the fingers have let go for good
 
     def deliver(self, offset: float = 0.0, speed: float = 0.0) -> dict[str, float]:
         self.pose, self.speed = (RECEIVING[0] + offset, *RECEIVING[1:]), speed
@@ -175,6 +176,30 @@ def test_what_was_not_ordered_is_wrong():
     metrics = story.deliver()
     assert metrics["delivered"] == 1 and metrics["wrong_class"] == 2
     assert metrics["pick_success"] == pytest.approx(1 / 3)
+
+
+def test_a_drop_counts_even_if_the_part_is_delivered_in_the_end():
+    story = Story().at_line().close()
+    story.hold(SMA, (0.1, 0.45, BELT + 0.1))
+    story.parts[SMA] = (0.1, 0.45, BELT)
+    story.release().pick(SMA, 0)
+    metrics = story.deliver()
+    assert metrics["delivered"] == 1 and metrics["dropped"] == 1 and metrics["attempts"] == 2
+
+
+def test_a_moment_without_contact_is_no_drop():
+    story = Story().at_line().close()
+    story.hold(SMA, (0.1, 0.45, BELT + 0.1))
+    story.grips = (NOTHING, NOTHING)
+    story.tick(seconds=0.05)
+    story.hold(SMA, (0.05, 0.3, BELT + 0.1))
+    story.parts[SMA] = tuple(CONFIG.tray.slots()[0])
+    assert story.release().deliver()["dropped"] == 0
+
+
+def test_two_parts_in_one_slot_are_one_delivery():
+    story = Story().at_line().pick(SMA, 0).pick(SECOND, 0)
+    assert story.deliver()["delivered"] == 1
 
 
 def ride(story: Story, part: str) -> Story:

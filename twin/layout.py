@@ -5,26 +5,21 @@
 works.
 """
 
-import math
 import tomllib
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from twin.geometry import rectangle, rectangles_overlap, swept_rectangles
+from twin.floor_plan import check_floor_plan
 from twin.messages import PART_CLASSES, PartClass
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Pose2 = tuple[Finite, Finite, Finite]  # x, y, yaw
-Interval = tuple[Finite, Finite]
+Coordinate = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # m
+Angle = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]  # rad
+Pose2 = tuple[Coordinate, Coordinate, Angle]  # x, y, yaw
+Interval = tuple[Coordinate, Coordinate]
 
-FOOTPRINT = (0.70, 0.50)  # vehicle, m
-BIN_LENGTH = 0.45  # m past the belt's end
-BELT_LEFT = 0.45  # m from the vehicle's centre to the belt's: what the arms reach best
-BELT_AHEAD, BELT_BEHIND = 1.2, 0.7  # m of belt that camera and hood, and the rear arm need
+TRAY_SLOTS, ONE_ARM_SLOTS = 28, 26  # parts that the tray takes, and that one arm alone can place
 
 
 class LayoutError(ValueError):
@@ -38,8 +33,8 @@ class _Model(BaseModel):
 class Line(_Model):
     """The belt as drawn."""
 
-    origin: tuple[Finite, Finite]
-    direction: Finite
+    origin: tuple[Coordinate, Coordinate]
+    direction: Angle
     length: Annotated[float, Field(ge=1.5, le=4.0)]
     width: Annotated[float, Field(ge=0.12, le=0.30)]
     height: Annotated[float, Field(ge=0.66, le=0.74)]
@@ -63,70 +58,12 @@ class Site(_Model):
 
     @model_validator(mode="after")
     def _can_be_built(self):
-        x, y = self.hall.x, self.hall.y
-        if x[0] >= x[1] or y[0] >= y[1]:
-            raise ValueError("hall: each interval must go from low to high")
-        # The belt with its rails and, past its end, the bin.
-        length = self.line.length + BIN_LENGTH
-        machine = rectangle(
-            *_along(self.line, length / 2), self.line.direction, length, self.line.width + 0.04
-        )
-        if not self._inside(machine):
-            raise ValueError("line: belt and bin reach outside the hall")
-        for name, pose in self._stations().items():
-            box = rectangle(*pose, *FOOTPRINT)
-            if rectangles_overlap(box, machine):
-                raise ValueError(f"{name}: the vehicle would stand in the belt")
-            if not self._inside(box):
-                raise ValueError(f"{name}: the vehicle would stand outside the hall")
-        for (first, a), (second, b) in self._legs():
-            if any(rectangles_overlap(box, machine) for box in swept_rectangles(a, b, *FOOTPRINT)):
-                raise ValueError(f"from {first} to {second} the vehicle would run into the belt")
+        check_floor_plan(self)
         return self
-
-    @model_validator(mode="after")
-    def _belt_is_within_reach(self):
-        """The vehicle picks off a belt on its left that comes towards it."""
-        dx, dy = self.line.origin[0] - self.pick[0], self.line.origin[1] - self.pick[1]
-        c, s = math.cos(self.pick[2]), math.sin(self.pick[2])
-        ahead, left = c * dx + s * dy, -s * dx + c * dy
-        turn = math.remainder(self.line.direction - self.pick[2] - math.pi, 2 * math.pi)
-        if abs(turn) > math.radians(1.0):
-            raise ValueError("pick: the belt must run against the vehicle's heading (yaw + pi)")
-        if abs(left - BELT_LEFT) > 0.02:
-            raise ValueError(
-                f"pick: the belt's centre line must run {BELT_LEFT} m to the left of the vehicle,"
-                f" give or take 0.02 (it runs {left:.2f} m to the left)"
-            )
-        if ahead < BELT_AHEAD or self.line.length - ahead < BELT_BEHIND:
-            raise ValueError(
-                f"pick: the belt must reach {BELT_AHEAD} m ahead of the vehicle and {BELT_BEHIND} m"
-                f" behind (it reaches {ahead:.2f} and {self.line.length - ahead:.2f} m)"
-            )
-        return self
-
-    def _stations(self) -> dict[str, Pose2]:
-        named = {"dock": self.dock, "pick": self.pick, "receiving": self.receiving}
-        named |= {f"route_to_pick[{i}]": p for i, p in enumerate(self.route_to_pick)}
-        return named | {
-            f"route_to_receiving[{i}]": p for i, p in enumerate(self.route_to_receiving)
-        }
-
-    def _legs(self):
-        """Pairs of named poses between which the vehicle drives."""
-        named = self._stations()
-        there = ["dock", *(n for n in named if n.startswith("route_to_pick")), "pick"]
-        away = ["pick", *(n for n in named if n.startswith("route_to_receiving")), "receiving"]
-        for names in (there, away):
-            yield from pairwise((n, named[n]) for n in names)
-
-    def _inside(self, box) -> bool:
-        x, y = self.hall.x, self.hall.y
-        return all(x[0] < px < x[1] and y[0] < py < y[1] for px, py in box)
 
 
 class LineWorld(_Model):
-    speed: Annotated[float, Field(ge=0.0, le=0.5)]
+    speed: Annotated[float, Field(ge=0.05, le=0.5)]
     friction: Annotated[float, Field(gt=0.1, le=2.0)] = 0.9
 
 
@@ -159,8 +96,8 @@ class World(_Model):
     @model_validator(mode="after")
     def _order_fits(self):
         total = sum(self.order.values())
-        if not 1 <= total <= 28:
-            raise ValueError(f"order: {total} parts; the tray takes 1 to 28")
+        if not 1 <= total <= TRAY_SLOTS:
+            raise ValueError(f"order: {total} parts; the tray takes 1 to {TRAY_SLOTS}")
         return self
 
 
@@ -175,6 +112,13 @@ class Layout(_Model):
     site: Site
     world: World
     options: Options = Options()
+
+    @model_validator(mode="after")
+    def _one_arm_can_place_the_order(self):
+        total = sum(self.world.order.values())
+        if self.options.arms == 1 and total > ONE_ARM_SLOTS:
+            raise ValueError(f"world.order: {total} parts; one arm alone can place {ONE_ARM_SLOTS}")
+        return self
 
     @model_validator(mode="after")
     def _parts_stay_on_the_belt(self):
@@ -213,7 +157,7 @@ def load_layout(path: Path | None = None, overrides: tuple[str, ...] = ()) -> La
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise LayoutError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of tomllib, of decoding, of nesting
         raise LayoutError(f"{path}: not a TOML file ({error})") from None
     for override in overrides:
         _set(tree, override)
@@ -235,7 +179,10 @@ def _explain(error: Any) -> str:
         return f"unknown key; choose from {', '.join(model.model_fields)}"
     message = error["msg"].removeprefix("Value error, ")
     given = error["input"]
-    return f"{message}, not {given!r}" if isinstance(given, int | float | str) else message
+    if not isinstance(given, int | float | str):
+        return message
+    shown = repr(given)
+    return f"{message}, not {shown if len(shown) < 60 else shown[:60] + '...'}"
 
 
 def _set(tree: dict[str, Any], override: str) -> None:
@@ -261,13 +208,13 @@ def _parse(text: str) -> Any:
         return text == "on"
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 
 def _parse_order(text: str) -> dict[str, Any]:
     """`sma_f_n_m:3,n_tee_fff:2`, or a single number of parts spread evenly over the classes."""
-    if text.isdigit():
+    if text.isascii() and text.isdigit() and len(text) < 5:
         total, n = int(text), len(PART_CLASSES)
         return {c: total // n + (i < total % n) for i, c in enumerate(PART_CLASSES)}
     order: dict[str, Any] = {}
@@ -276,14 +223,9 @@ def _parse_order(text: str) -> dict[str, Any]:
         name = name.strip()
         if name not in PART_CLASSES:
             raise LayoutError(
-                f"--set order: unknown class '{name}'; choose from {', '.join(PART_CLASSES)}"
+                f"--set order: unknown class '{name[:40]}'; choose from {', '.join(PART_CLASSES)}"
             )
+        if name in order:
+            raise LayoutError(f"--set order: {name} stands there twice")
         order[name] = _parse(count.strip())
     return order
-
-
-def _along(line: Line, distance: float) -> tuple[float, float]:
-    return (
-        line.origin[0] + distance * math.cos(line.direction),
-        line.origin[1] + distance * math.sin(line.direction),
-    )

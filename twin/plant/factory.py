@@ -12,13 +12,13 @@ import numpy as np
 
 from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transform
 from twin.layout import Layout, Line, Pose2, models_dir
-from twin.messages import PART_CLASSES
+from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
 from twin.plant.hall import FLOOR, STANDING, hall
 from twin.plant.model_files import load_model
 
 VEHICLE, ARM, PART = 4, 8, 16  # bits of the collision masks, beside FLOOR and STANDING
-POOL = 9  # parts of each class in the feeder's store
+SPARE = 5  # parts of each class in the feeder's store beyond those that are ordered
 WHEELS = ("fl", "fr", "rl", "rr")
 
 
@@ -37,14 +37,14 @@ MASKS = {
 
 
 def build(
-    layout: Layout, as_built: AsBuilt, pool: int = POOL, models: Path | None = None
+    layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
 ) -> mujoco.MjSpec:
     """The whole cell as one editable model, not yet compiled.
 
     Args:
         layout: what stands where.
         as_built: deviations of the machine from the drawing.
-        pool: number of parts of each class in the feeder's store.
+        pool: number of parts of each class in the feeder's store; None lets the order decide.
         models: folder of the models, the installed one by default.
 
     Raises:
@@ -61,7 +61,8 @@ def build(
         station = load_model(root, f"station/{name}.xml")
         _attach(spec, station, pose, f"{name}/", MASKS["line"])
     _attach_vehicle(spec, root, layout.site.dock, as_built)
-    _attach_parts(spec, root, pool)
+    store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)
+    _attach_parts(spec, root, store)
     return spec
 
 
@@ -160,15 +161,22 @@ def store_pose(index: int) -> np.ndarray:
     return np.array([0.15 * (index % 9), 0.15 * (index // 9), -1.0])
 
 
-def _attach_parts(spec: mujoco.MjSpec, root: Path, pool: int) -> None:
-    for c, name in enumerate(PART_CLASSES):
+def pool_counts(layout: Layout) -> dict[PartClass, int]:
+    """Parts of each class that the store needs for a layout's order."""
+    return {c: layout.world.order.get(c, 0) + SPARE for c in PART_CLASSES}
+
+
+def _attach_parts(spec: mujoco.MjSpec, root: Path, pool: dict[PartClass, int]) -> None:
+    stored = 0
+    for name in PART_CLASSES:
         part = load_model(root, f"connectors/{name}/{name}.xml")
         _set_masks(part, MASKS["part"])
         for geom in part.geoms:
             geom.group = 4
         child = part.worldbody.first_body()
-        for k in range(pool):
-            frame = spec.worldbody.add_frame(pos=store_pose(c * pool + k))
+        for k in range(pool[name]):
+            frame = spec.worldbody.add_frame(pos=store_pose(stored))
+            stored += 1
             body = frame.attach_body(child, f"{name}_{k}/", "")
             body.name = f"part_{name}_{k}"
             for joint in list(body.joints):

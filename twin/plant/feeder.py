@@ -15,7 +15,6 @@ from twin.layout import Layout
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.world import World
 
-SPARE = 4  # parts of each class beyond the order
 DROP_POINT = 0.10  # m from the upstream end of the belt: inside the hood
 BIN_DEPTH = 0.05  # m below the belt's face: a part lower than this, past the end, is in the bin
 BIN_LENGTH = 0.45  # m past the end of the belt
@@ -36,11 +35,6 @@ class FeedEvent:
     source: Source
     yaw: float = float("nan")  # in world, rad
     lateral: float = float("nan")  # m left of the centre line, looking downstream
-
-
-def pool_counts(layout: Layout) -> dict[PartClass, int]:
-    """Parts of each class that the store needs for a layout's order."""
-    return {c: layout.world.order.get(c, 0) + SPARE for c in PART_CLASSES}
 
 
 def class_of(part: str) -> PartClass:

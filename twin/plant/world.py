@@ -12,7 +12,7 @@ from twin.geometry import Array, rotation_from_quat, transform
 from twin.layout import Layout, LayoutError
 from twin.plant.as_built import AsBuilt
 from twin.plant.contacts import CollisionCounter
-from twin.plant.factory import POOL, build
+from twin.plant.factory import build
 from twin.plant.grips import Grip, GripWatcher
 from twin.plant.shapes import Shape, shapes_of
 
@@ -58,7 +58,7 @@ class World:
     Args:
         layout: what stands where.
         as_built: deviations of this machine from the drawing.
-        pool: parts of each class in the feeder's store.
+        pool: parts of each class in the feeder's store; None lets the order decide.
         models: folder of the models, the installed one by default.
 
     Raises:
@@ -66,7 +66,7 @@ class World:
     """
 
     def __init__(
-        self, layout: Layout, as_built: AsBuilt, pool: int = POOL, models: Path | None = None
+        self, layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
     ):
         spec = build(layout, as_built, pool, models)
         try:

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from twin.geometry import pose2_to_transform, wrap_angle
-from twin.layout import FOOTPRINT
+from twin.floor_plan import FOOTPRINT
 from twin.messages import CameraFrame, GripperReading, LidarScan, RgbdFrame, StackState
 from twin.recording.blueprint import blueprint
 from twin.recording.columns import Columns

@@ -1,0 +1,125 @@
+"""Whether the machines of a site fit beside each other, and the vehicle between them.
+
+Sizes are those of models/line and models/station, seen from above; a test holds them together.
+"""
+
+import math
+from itertools import combinations, pairwise
+from typing import Any
+
+from twin.geometry import compose2, rectangle, rectangles_overlap, swept_rectangles
+
+FOOTPRINT = (0.70, 0.50)  # vehicle, m
+# Each part of a machine: centre and size along x and y of its own frame, m.
+RAIL = 0.04  # beside the belt: rails, and the hood's walls
+HOOD_BEHIND = 0.08  # of the upstream end
+BIN = (0.01, 0.37, 0.32)  # from, to past the downstream end; width
+MOTOR = (-0.25, -0.07, -0.21, -0.10)  # of the belt, from its downstream end: x, then y on the right
+TABLE = (0.0, -0.65, 0.80, 0.50)  # from the receiving pose
+POST = (-0.536, 0.0, 0.20, 0.36)  # from the dock
+BELT_LEFT = 0.45  # m from the vehicle's centre to the belt's: what the arms reach best
+BELT_AHEAD, BELT_BEHIND = 1.2, 0.7  # m of belt that camera and hood, and the rear arm need
+
+Box = list[tuple[float, float]]
+
+
+def check_floor_plan(site: Any) -> None:
+    """Refuse a `twin.layout.Site` that cannot be built or worked in.
+
+    Raises:
+        ValueError: one line naming what is in the way of what.
+    """
+    (x0, x1), (y0, y1) = site.hall.x, site.hall.y
+    if x0 >= x1 or y0 >= y1:
+        raise ValueError("hall: each interval must go from low to high")
+
+    def inside(box: Box) -> bool:
+        return all(x0 < x < x1 and y0 < y < y1 for x, y in box)
+
+    built = machines(site)
+    for name, boxes in built.items():
+        if not all(inside(box) for box in boxes):
+            raise ValueError(f"{name}: reaches outside the hall")
+    for (first, a), (second, b) in combinations(built.items(), 2):
+        if _touch(a, b):
+            raise ValueError(f"{first} and {second} overlap")
+    for name, pose in stops(site).items():
+        box = rectangle(*pose, *FOOTPRINT)
+        if not inside(box):
+            raise ValueError(f"{name}: the vehicle would stand outside the hall")
+        for machine, boxes in built.items():
+            if _touch([box], boxes):
+                raise ValueError(f"{name}: the vehicle would stand in the {machine}")
+    for first, second in legs(site):
+        a, b = stops(site)[first], stops(site)[second]
+        way = list(swept_rectangles(a, b, *FOOTPRINT))
+        for machine, boxes in built.items():
+            if _touch(way, boxes):
+                raise ValueError(
+                    f"from {first} to {second} the vehicle would run into the {machine}"
+                )
+    _check_reach(site)
+
+
+def machines(site: Any) -> dict[str, list[Box]]:
+    """Outlines of everything that stands on the floor, by name."""
+    line = site.line
+    start, end = (*line.origin, line.direction), line.length
+    half = line.width / 2 + RAIL
+    dx0, dx1, dy0, dy1 = MOTOR
+    belt = [
+        _placed(start, -HOOD_BEHIND, end, -half, half),
+        _placed(start, end + BIN[0], end + BIN[1], -BIN[2] / 2, BIN[2] / 2),
+        _placed(start, end + dx0, end + dx1, dy0 + 0.10 - line.width / 2, dy1),
+    ]
+    table, post = (
+        [_placed(pose, x - a / 2, x + a / 2, y - b / 2, y + b / 2)]
+        for pose, (x, y, a, b) in ((site.receiving, TABLE), (site.dock, POST))
+    )
+    return {"belt": belt, "receiving table": table, "dock post": post}
+
+
+def stops(site: Any) -> dict[str, tuple[float, float, float]]:
+    """Poses at which the vehicle stops, by name."""
+    named = {"dock": site.dock, "pick": site.pick, "receiving": site.receiving}
+    named |= {f"route_to_pick[{i}]": p for i, p in enumerate(site.route_to_pick)}
+    return named | {f"route_to_receiving[{i}]": p for i, p in enumerate(site.route_to_receiving)}
+
+
+def legs(site: Any):
+    """Names of the stops between which the vehicle drives straight, in order."""
+    there = [f"route_to_pick[{i}]" for i in range(len(site.route_to_pick))]
+    away = [f"route_to_receiving[{i}]" for i in range(len(site.route_to_receiving))]
+    yield from pairwise(["dock", *there, "pick"])
+    yield from pairwise(["pick", *away, "receiving"])
+
+
+def _check_reach(site: Any) -> None:
+    """The vehicle picks off a belt on its left that comes towards it."""
+    line, pick = site.line, site.pick
+    dx, dy = line.origin[0] - pick[0], line.origin[1] - pick[1]
+    c, s = math.cos(pick[2]), math.sin(pick[2])
+    ahead, left = c * dx + s * dy, -s * dx + c * dy
+    turn = math.remainder(line.direction - pick[2] - math.pi, 2 * math.pi)
+    if abs(turn) > math.radians(1.0):
+        raise ValueError("pick: the belt must run against the vehicle's heading (yaw + pi)")
+    if abs(left - BELT_LEFT) > 0.02:
+        raise ValueError(
+            f"pick: the belt's centre line must run {BELT_LEFT} m to the left of the vehicle,"
+            f" give or take 0.02 (it runs {left:.2f} m to the left)"
+        )
+    if ahead < BELT_AHEAD or line.length - ahead < BELT_BEHIND:
+        raise ValueError(
+            f"pick: the belt must reach {BELT_AHEAD} m ahead of the vehicle and {BELT_BEHIND} m"
+            f" behind (it reaches {ahead:.2f} and {line.length - ahead:.2f} m)"
+        )
+
+
+def _placed(pose, x0: float, x1: float, y0: float, y1: float) -> Box:
+    """A box given in the frame at `pose`, in world."""
+    x, y, yaw = compose2(pose, ((x0 + x1) / 2, (y0 + y1) / 2, 0.0))
+    return rectangle(x, y, yaw, x1 - x0, y1 - y0)
+
+
+def _touch(first: list[Box], second: list[Box]) -> bool:
+    return any(rectangles_overlap(a, b) for a in first for b in second)
