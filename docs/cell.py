@@ -18,8 +18,8 @@ TIME = 36.0  # s
 def main() -> None:
     layout = load_layout()
     config = nominal_config(layout.site, layout.options)
-    stack = Stack(config)
-    plant = Plant(layout, 1, [w.motion.state(0.0)[0] for w in stack.arms])
+    plant, stack = Plant(layout, 1), Stack(config)
+    plant.park([w.motion.rest for w in stack.arms])
     Loop(plant, stack, ControlUnit(config.wheels)).run(TIME)
     x, y, _ = layout.site.pick
     folder = Path(__file__).parent

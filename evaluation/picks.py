@@ -189,6 +189,9 @@ class PickMonitor:
         there = np.hypot(pose[0] - target[0], pose[1] - target[1]) <= AT_RECEIVING
         there = there and float(np.hypot(*tick.truth.velocity[:2])) < STOPPED
         lying = self._in_slots(tick)
+        # Also what was laid down well and has left its slot since.
+        gone = set(self.lifted) - set(lying) - set(self.dropped)
+        gone -= {h.part for h in self._held.values()}
         speed = np.linalg.norm(tick.truth.part_velocity, axis=1)
         at_rest = {n for n, v in zip(tick.truth.part_names, speed, strict=True) if v < AT_REST}
         at_rest &= set(lying)
@@ -206,7 +209,7 @@ class PickMonitor:
             "cycle_time_s": at_line / delivered if delivered else nan,
             "attempts": float(self.attempts),
             "pick_success": delivered / self.attempts if self.attempts else nan,
-            "dropped": float(len(self.dropped)),
+            "dropped": float(len(self.dropped) + len(gone)),
             "missed": float(len(self.missed)),
             "wrong_class": float(sum(slotted.values()) - delivered),
             "placement_error_max_mm": 1e3 * max((lying[n] for n in at_rest), default=nan),

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,17 @@ from twin.layout import Layout
 
 
 def build_report(
-    scenario: str, request: RunRequest, layout: Layout, result: RunResult
+    scenario: str,
+    request: RunRequest,
+    layout: Layout,
+    result: RunResult,
+    files: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Everything a run has to say as plain numbers; NaN and infinity become None.
 
     Two runs of the same seed differ in `wall_time_s` and `rtf` alone (`rtf` stands among the
     metrics too). A run is passed if it came to its own end and met every criterion; what could
-    not be measured counts as not met.
+    not be measured counts as not met. `files` are the names of the run's own files.
     """
     metrics = {**result.metrics, "rtf": result.rtf}
     criteria = [
@@ -46,6 +50,7 @@ def build_report(
         "passed": result.complete and all(c["passed"] for c in criteria),
         "duration": request.duration,
         "layout": layout.model_dump(mode="json"),
+        "files": list(files),
         "notes": list(result.notes),
     }
 

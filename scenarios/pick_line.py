@@ -36,8 +36,9 @@ CRITERIA = [
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """One run to the end of the order."""
     config = nominal_config(layout.site, layout.options)
+    plant = Plant(layout, request.seed)
     stack = Stack(config)
-    plant = Plant(layout, request.seed, [w.motion.state(0.0)[0] for w in stack.arms])
+    plant.park([w.motion.rest for w in stack.arms])
     picks, paths = PickMonitor(layout, config), TrajectoryMonitor()
     watchers: list = []
     if request.record:
@@ -48,7 +49,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     if request.viewer:
         watchers.append(LiveViewer(plant.world))
     loop = Loop(plant, stack, ControlUnit(config.wheels), (picks, paths, *watchers))
-    longest = min(LONGEST, request.duration or LONGEST)
+    longest = request.duration or LONGEST
     warm, complete = (0.0, 0.0), False
     try:
         done_at = np.inf

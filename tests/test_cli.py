@@ -92,11 +92,13 @@ def test_a_failure_is_told_in_one_line_and_kept_in_full(tmp_path, capsys):
 
 def test_a_new_run_replaces_all_of_the_old_one_and_nothing_else(tmp_path):
     assert twin("run", "drift", "--record", "--out", str(tmp_path)) == 0
-    (tmp_path / "mine.txt").write_text("keep")
+    for mine in ("mine.txt", "mine.tum", "experiment.log", "other.rrd"):
+        (tmp_path / mine).write_text("keep")
     assert (tmp_path / "recording.rrd").is_file()
     assert twin("run", "drift", "--seed", "1", "--out", str(tmp_path)) == 0
     names = sorted(p.name for p in tmp_path.iterdir())
-    assert names == ["estimate.tum", "mine.txt", "report.json", "truth.tum"]
+    kept = ["estimate.tum", "experiment.log", "mine.tum", "mine.txt", "other.rrd"]
+    assert names == [*kept, "report.json", "truth.tum"]
 
 
 MALFORMED = "[site\n"

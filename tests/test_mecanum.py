@@ -45,7 +45,7 @@ def test_forward_is_the_least_squares_solution(speeds):
     [((1, 0, 0), "++++"), ((0, 1, 0), "-++-"), ((0, 0, 1), "-+-+")],
 )
 def test_wheels_turn_as_in_the_source(velocity, signs):
-    """Li & An 2025, Fig. 7: forward, to the left, anticlockwise."""
+    """Li & An 2025, Fig. 7: forward, sideways (there to the right), turning."""
     speeds = mecanum.wheel_speeds(WHEELS, np.array(velocity, float))
     assert "".join("+" if s > 0 else "-" for s in speeds) == signs
 

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from twin.geometry import rot_x, transform
 from twin.floor_plan import FOOTPRINT
+from twin.geometry import rot_x, transform
 from twin.layout import LayoutError, load_layout, models_dir
 from twin.plant import factory
 from twin.plant.actuators import wheel_drive

@@ -137,11 +137,14 @@ def _run(asked: Run, package: str) -> int:
             result = _result(f"{package}.{asked.name}", request, layout)
         # From here on only files are written: too short to be interrupted, too dear to be lost.
         _on_interrupt(signal.SIG_IGN)
-        report = build_report(asked.name, request, layout, result)
+        if result.sim_time == 0.0 and _interrupted and folder.holds_a_run:
+            raise KeyboardInterrupt  # nothing was measured: the earlier run is worth more
         for name, (stamps, poses) in result.trajectories.items():
             write_tum(folder.working / f"{name}.tum", stamps, poses)
+        files = folder.files()
+        report = build_report(asked.name, request, layout, result, files)
         write_report(folder.working / "report.json", report)
-        files = folder.publish()
+        folder.publish()
     except BaseException:
         folder.discard()
         raise
@@ -169,6 +172,8 @@ def _result(module: str, request: RunRequest, layout: Layout) -> RunResult:
     except (LayoutError, InputError):
         raise
     except Exception as error:
+        if _interrupted:  # an import or a library turned the interrupt into an error of its own
+            return RunResult(notes=["interrupted before anything was measured"])
         (request.out / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
         what = f"{type(error).__name__}: {_one_line(error)}"
         return RunResult(notes=[f"the run failed: {what} (error.txt says where)"])
@@ -241,12 +246,23 @@ def _progress():
         yield progress
 
 
+_interrupted: list[int] = []  # the signal that has interrupted us, if any
+
+
+def _interrupt_once(number: int, frame) -> None:
+    """The first interrupt ends the run; another must not end the writing of what it measured."""
+    _on_interrupt(signal.SIG_IGN)
+    _interrupted.append(number)
+    raise KeyboardInterrupt
+
+
 @contextlib.contextmanager
 def _interruptible():
     """SIGINT and SIGTERM raise KeyboardInterrupt, also where a shell has them ignored for us."""
     signals = (signal.SIGINT, signal.SIGTERM)
     before = [signal.getsignal(s) for s in signals]
-    _on_interrupt(signal.default_int_handler)
+    _interrupted.clear()
+    _on_interrupt(_interrupt_once)
     try:
         yield
     finally:

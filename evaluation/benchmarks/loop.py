@@ -56,8 +56,8 @@ def watched_loop(seed: int, watch: Stopwatch) -> Loop:
     """The loop of `pick_line` on the default cell, every stage under the watch."""
     layout = load_layout()
     config = nominal_config(layout.site, layout.options)
-    stack = Stack(config)
-    plant = Plant(layout, seed, [w.motion.state(0.0)[0] for w in stack.arms])
+    plant, stack = Plant(layout, seed), Stack(config)
+    plant.park([w.motion.rest for w in stack.arms])
     unit = ControlUnit(config.wheels)
     watch.watch("physics", plant.world, "step")
     watch.watch("feeder", plant.feeder, "step")

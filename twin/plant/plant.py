@@ -41,18 +41,16 @@ class Plant:
     Args:
         layout: what stands where.
         seed: of everything random in the plant.
-        parked: joint angles at which the arms were left, shape (2, 6), rad; None leaves them
-            standing straight up.
 
     Raises:
         LayoutError: the models cannot be put together.
     """
 
-    def __init__(self, layout: Layout, seed: int, parked=None):
+    def __init__(self, layout: Layout, seed: int):
         built, wheels, feed, *noise = np.random.default_rng(seed).spawn(8)
         self.layout, self.as_built = layout, AsBuilt.draw(built, layout.world.tolerances)
         self.world = World(layout, self.as_built)
-        model, data = self.world.model, self.world.data
+        model = self.world.model
         self.feeder = Feeder(self.world, layout, feed)
         self._encoders = WheelEncoders(model, wheels)
         self._wheels = WheelDrive(model)
@@ -60,8 +58,6 @@ class Plant:
             ArmDrive(model, f"arm{i}/", self.as_built.arm_joint_zero[i]) for i in range(2)
         ]
         self._grippers = [GripperDrive(model, f"arm{i}/") for i in range(2)]
-        if parked is not None:
-            self._park(parked)
         self.renderer = RenderWorker(model)
         k = layout.world.sensors.noise_scale
         self.sensors = (
@@ -74,10 +70,14 @@ class Plant:
             RgbdCamera(self.renderer, noise[4], k),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
-        self._suite.sample(self.time, model, data)
+        self._begun = False
 
-    def _park(self, parked) -> None:
-        for drive, q in zip(self._arms, parked, strict=True):
+    def park(self, joints) -> None:
+        """Before the run: leave the arms where their encoders read `joints`, shape (2, 6), rad.
+
+        Without this they stand straight up, as the model draws them.
+        """
+        for drive, q in zip(self._arms, joints, strict=True):
             drive.set_rest(self.world.data, np.asarray(q))
         for gripper in self._grippers:
             gripper.set_rest(self.world.data, PARKED_WIDTH)
@@ -94,6 +94,9 @@ class Plant:
 
     def readings(self) -> tuple[Reading, ...]:
         """What has arrived since the last call."""
+        if not self._begun:  # the first exposures, of the state at the start
+            self._begun = True
+            self._suite.sample(self.time, self.world.model, self.world.data)
         return self._suite.arrived(self.time)
 
     def encoder_counts(self):

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from twin.geometry import pose2_to_transform, wrap_angle
 from twin.floor_plan import FOOTPRINT
+from twin.geometry import pose2_to_transform, wrap_angle
 from twin.messages import CameraFrame, GripperReading, LidarScan, RgbdFrame, StackState
 from twin.recording.blueprint import blueprint
 from twin.recording.columns import Columns

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.messages import (
+    ArmReading,
     CameraFrame,
     Commands,
     Detection,
@@ -80,7 +81,7 @@ class Stack:
     def _hear(self, reading: Reading) -> None:
         if isinstance(reading, WheelState):
             self.odometry.update(reading)
-        elif isinstance(reading, GripperReading):
+        elif isinstance(reading, GripperReading | ArmReading):
             self.arms[reading.arm].hear(reading)
         elif isinstance(reading, CameraFrame):
             pose = self.fused.history.at(reading.stamp)
@@ -132,7 +133,7 @@ class Stack:
         return self.drive.done
 
     def _arms_idle(self) -> bool:
-        return all(w.motion.idle(self.now) for w in self.arms)
+        return all(w.free and w.motion.idle(self.now) for w in self.arms)
 
     def _arms_ready(self) -> bool:
         """Sends the arms over the belt so that they are there when the vehicle stops."""
@@ -176,4 +177,8 @@ class Stack:
             detections_stamp=self._detections_stamp,
             events=events,
             distance_to_pick=self.distance.distance(self._pose),
+            goals={
+                "wanted": float(sum(self.picker.remaining().values())),
+                "placed": float(sum(len(w.placed) for w in self.arms)),
+            },
         )

@@ -98,7 +98,7 @@ class ArmMotion:
         # out of the front arm's way, which may use the whole tray when it works alone.
         self.stow_position = np.array(config.stow[index])
         yaw = np.array([_plain_yaw(self.stow_position)])
-        self._rest = self.kinematics.inverse_down(self.stow_position[None], yaw)[0]
+        self.rest = self.kinematics.inverse_down(self.stow_position[None], yaw)[0]
         self._segments: list[_Segment] = []
         self._pick: PickTimes | None = None
         self._approach_start = 0.0
@@ -121,7 +121,7 @@ class ArmMotion:
                 if time > segment.end + 1e-9:
                     return JointState.still(segment.table.q[-1])
                 return JointState(*segment.table.sample(time - segment.start))
-        return JointState.still(self._segments[0].table.q[0] if self._segments else self._rest)
+        return JointState.still(self._segments[0].table.q[0] if self._segments else self.rest)
 
     def command(self, now: float) -> ArmCommand:
         """Set-points of this tick, with feed-forward torque.

@@ -1,6 +1,6 @@
 """Extended Kalman filter of planar motion from wheels and inertial unit.
 
-As in Li & An 2025, section 2.3, measured acceleration drives the prediction and the wheels correct
+As in Li & An 2025, section 2.2, measured acceleration drives the prediction and the wheels correct
 it; here the measured rate drives the yaw too. What the wheels report differs from the motion of the
 vehicle by a slip that changes slowly and grows with speed: it is part of the state, in units of its
 expected size, so a wheel that lies by a constant per cent is not taken for white noise.

@@ -27,6 +27,7 @@ class SensorModel:
     limit: float = 4.0  # of a cell, so that what has moved can be unlearnt: 0.982
     max_range: float = 25.0  # m; what is farther is left out
     seam: float = 0.0  # m before a beam's end that are not called free
+    blind: float = 0.0  # m around the sensor that it does not call free: it looks over low things
 
 
 @dataclass
@@ -98,7 +99,13 @@ class OccupancyGrid:
         """World points at the centres of cells (row, column). Shape (..., 2)."""
         return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution
 
-    def insert_scan(self, scan: LidarScan, sensor_pose: Array, model: SensorModel) -> str | None:
+    def insert_scan(
+        self,
+        scan: LidarScan,
+        sensor_pose: Array,
+        model: SensorModel,
+        clear_to: Array | None = None,
+    ) -> str | None:
         """Add a scan: each cell is changed once, and an end point outweighs a passing beam.
 
         A beam without a return says nothing: in a closed hall it met something that does not
@@ -108,11 +115,16 @@ class OccupancyGrid:
             scan: in the sensor's plane.
             sensor_pose: x, y, yaw of the sensor in world.
             model: of the sensor.
+            clear_to: how far each beam is known to be free if it did not return, m. Shape (n,).
 
         Returns:
             None, or why the scan was dropped; the grid is then unchanged.
         """
-        fault = scan_fault(scan)
+        if clear_to is None:
+            clear_to = np.zeros(np.shape(scan.ranges))
+        fault = scan_fault(scan, beams_needed=not np.any(clear_to > 0))
+        if fault is None and np.shape(clear_to) != np.shape(scan.ranges):
+            fault = f"scan at {scan.stamp:.3f} s: free distances of shape {np.shape(clear_to)}"
         if fault is None and not np.all(np.isfinite(sensor_pose)):
             fault = f"scan at {scan.stamp:.3f} s: the sensor's pose is not finite"
         if fault is not None:
@@ -121,13 +133,14 @@ class OccupancyGrid:
         _insert(
             self.log_odds,
             np.ascontiguousarray(scan.ranges, dtype=np.float64),
+            np.ascontiguousarray(clear_to, dtype=np.float64),
             float(scan.angle_min + sensor_pose[2]),
             float(scan.angle_increment),
             x,
             y,
             self.resolution,
             min(scan.range_max, model.max_range),
-            (model.hit, model.miss, model.limit, model.seam / self.resolution),
+            (model.hit, model.miss, model.limit, model.seam, model.blind),
         )
         return None
 
@@ -142,42 +155,45 @@ FINER = 4  # entries of the table of directions to a beam's angle
 
 
 @njit(cache=True)
-def _insert(log_odds, ranges, first, step, x0, y0, resolution, longest, model):
+def _insert(log_odds, ranges, clear_to, first, step, x0, y0, resolution, longest, model):
     """Positions in cells. End points raise their cells; the beam nearest in angle clears others.
 
     The inverse sensor model of Thrun et al. 2005, Table 9.2, turned round: cells look for their
     beam, so each is touched once however many beams cross it.
     """
-    hit, miss, limit, seam = model
+    hit, miss, limit, seam, blind = model
     h, w = log_odds.shape
     n = len(ranges)
     rows, columns = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     before = np.empty(n, dtype=np.float32)
     good = np.zeros(n, dtype=np.bool_)
+    far = np.zeros(n)  # up to which a beam's cells are free, in cells
     hits = 0
     low_x, high_x, low_y, high_y = x0, x0, y0, y0
     for i in range(n):
         r = ranges[i]
         good[i] = r > 0.0 and r <= longest  # neither NaN nor inf passes
-        if good[i]:
+        r = r if good[i] else min(clear_to[i], longest)
+        if r > 0.0:
             angle = first + i * step
             x = x0 + r * np.cos(angle) / resolution
             y = y0 + r * np.sin(angle) / resolution
+            far[i] = max((r - seam) / resolution - HALF, 0.0)
             low_x, high_x = min(low_x, x), max(high_x, x)
             low_y, high_y = min(low_y, y), max(high_y, y)
-            if x >= 0 and x < w and y >= 0 and y < h:
+            if good[i] and x >= 0 and x < w and y >= 0 and y < h:
                 rows[hits], columns[hits] = int(y), int(x)
                 before[hits] = log_odds[int(y), int(x)]
                 hits += 1
-    near = np.zeros(int(2 * np.pi / abs(step) * FINER) + 2, dtype=np.float32)
+    near = np.zeros(int(min(2 * np.pi / abs(step) * FINER, 65536)) + 2, dtype=np.float32)
     fine = 2 * np.pi / (len(near) - 1)
     for k in range(len(near)):  # squared distance, in cells, up to which a direction is free
         angle = -np.pi + (k + 0.5) * fine
         turn = (angle - first) * np.sign(step)
         turn -= 2 * np.pi * np.floor(turn / (2 * np.pi) + 0.25 * abs(step) / np.pi)
         i = int(turn / abs(step) + 0.5)
-        if i < n and good[i]:
-            near[k] = max(ranges[i] / resolution - seam - HALF, 0.0) ** 2
+        if i < n:
+            near[k] = far[i] ** 2
     left, right = int(min(max(low_x, 0), w)), int(min(max(high_x + 1, 0), w))
     bottom, top = int(min(max(low_y, 0), h)), int(min(max(high_y + 1, 0), h))
     directions = np.empty(max(right - left, 0), dtype=np.int32)
@@ -191,6 +207,7 @@ def _insert(log_odds, ranges, first, step, x0, y0, resolution, longest, model):
             dy * dy,
             x_left,
             near,
+            np.float32((blind / resolution) ** 2),
             np.float32(miss),
             np.float32(-limit),
         )
@@ -222,7 +239,7 @@ def _directions(directions, dy, x_left, per_rad):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _clear(cells, directions, dy_squared, x_left, near, miss, floor):
+def _clear(cells, directions, dy_squared, x_left, near, blind, miss, floor):
     """Lower the cells of a row that lie before the end of the beam in their direction."""
     for j in range(len(cells)):
         dx = x_left + np.float32(np.int32(j))
@@ -230,5 +247,6 @@ def _clear(cells, directions, dy_squared, x_left, near, miss, floor):
         lower = old + miss
         lower = lower if lower > floor else floor
         # Unsigned: a signed index would be tested for counting from the end.
-        free = dx * dx + dy_squared < near[np.uint32(directions[j])]
-        cells[j] = lower if free else old
+        squared = dx * dx + dy_squared
+        free = squared < near[np.uint32(directions[j])]
+        cells[j] = lower if free & (squared >= blind) else old

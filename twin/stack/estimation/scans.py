@@ -7,10 +7,14 @@ from twin.geometry import Array
 from twin.messages import LidarScan
 
 
-def scan_fault(scan: LidarScan) -> str | None:
+def scan_fault(scan: LidarScan, beams_needed: bool = True) -> str | None:
     """Why a scan must be dropped, in one line; None if it is usable.
 
     Single beams without a return (inf) or broken (NaN, negative) are no fault; they are left out.
+
+    Args:
+        scan: as it came.
+        beams_needed: whether a scan of which no beam returned is a fault.
     """
     ranges = np.asarray(scan.ranges)
     head = (scan.stamp, scan.angle_min, scan.angle_increment, scan.range_max)
@@ -20,7 +24,7 @@ def scan_fault(scan: LidarScan) -> str | None:
         return f"scan at {scan.stamp:.3f} s dropped: ranges of shape {ranges.shape}, wanted (n,)"
     if scan.angle_increment == 0 or scan.range_max <= 0:
         return f"scan at {scan.stamp:.3f} s dropped: angle increment or largest range is 0"
-    if not np.any(_usable(ranges, scan.range_max)):
+    if beams_needed and not np.any(_usable(ranges, scan.range_max)):
         return f"scan at {scan.stamp:.3f} s dropped: none of its {len(ranges)} beams returned"
     return None
 

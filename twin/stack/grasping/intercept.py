@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 COARSE = 0.1  # s, step in which the first feasible moment is looked for
 HALVINGS = 10  # then down to 0.1 ms
 

@@ -10,7 +10,14 @@ from enum import Enum
 import numpy as np
 
 from twin.geometry import Array, apply, rot_z
-from twin.messages import ArmCommand, GripperCommand, GripperReading, PartClass, TrackedPart
+from twin.messages import (
+    ArmCommand,
+    ArmReading,
+    GripperCommand,
+    GripperReading,
+    PartClass,
+    TrackedPart,
+)
 from twin.stack.config import StackConfig
 from twin.stack.control.arm_kinematics import Unreachable
 from twin.stack.control.arm_motion import ArmMotion, Grasp, PickTimes, PlaceTimes
@@ -21,6 +28,8 @@ WIDTH_TOLERANCE = 0.005  # m between the drawing's grip width and the fingers'
 LEAST_FORCE = 0.4  # share of the wanted force below which there is no grip
 RELEASE_HEIGHT = 0.002  # m of air below the part when it is let go
 REPLAN_SHIFT = 0.0005  # m that the meeting point must have moved to be planned anew
+BLOCKED_ERROR = 0.12  # rad off the reference: ten times what the drives leave at full speed
+BLOCKED_TIME = 0.15  # s that this must last
 LAST_REPLAN = 0.04  # s before the descent after which the plan stands
 
 
@@ -31,6 +40,7 @@ class Phase(Enum):
     CARRYING = "carrying"
     RELEASING = "releasing"
     GIVING_UP = "giving up"
+    BLOCKED = "blocked"
 
 
 @dataclass(frozen=True)
@@ -82,6 +92,8 @@ class ArmWorker:
         low, high = config.pick_windows[index]
         self._window = (x - high, x - low)
         self._gripper: GripperReading | None = None
+        self._joints: ArmReading | None = None
+        self._off_since = np.inf
         self._command = GripperCommand(index, config.gripper.stroke / 2, config.gripper.force)
 
     @property
@@ -92,8 +104,24 @@ class ArmWorker:
     def holding(self) -> bool:
         return self.phase in (Phase.CLOSING, Phase.CARRYING)
 
-    def hear(self, reading: GripperReading) -> None:
-        self._gripper = reading
+    def hear(self, reading: GripperReading | ArmReading) -> None:
+        """Take a reading of this arm's gripper or joints; joints that do not follow stop it."""
+        if isinstance(reading, GripperReading):
+            self._gripper = reading
+            return
+        self._joints = reading
+        off = np.abs(reading.position - self.motion.state(reading.stamp).q)
+        if np.max(off) < BLOCKED_ERROR:
+            self._off_since = np.inf
+            return
+        self._off_since = min(self._off_since, reading.stamp)
+        if reading.stamp - self._off_since >= BLOCKED_TIME and self.phase is not Phase.BLOCKED:
+            self.phase = Phase.BLOCKED
+            joint = int(np.argmax(off))
+            self.events.append(
+                f"arm {self.index} is blocked: joint {joint + 1} is {off[joint]:.2f} rad off;"
+                " it stops, and the vehicle stays"
+            )
 
     # --- jobs ------------------------------------------------------------------------------------
 
@@ -156,6 +184,10 @@ class ArmWorker:
             self.job, self.phase = None, Phase.IDLE
         elif self.phase is Phase.GIVING_UP and self.motion.idle(now):
             self.job, self.phase = None, Phase.IDLE
+        if self.phase is Phase.BLOCKED and self._joints is not None:
+            q, still = self._joints.position, np.zeros(6)
+            torque = self.motion.dynamics.torque(q, still, still)
+            return ArmCommand(self.index, q, still, torque), self._command
         return self.motion.command(now), self._command
 
     # --- inside ----------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from twin.messages import Order, PartClass, TrackedPart
 from twin.stack.config import StackConfig
 from twin.stack.grasping.allotment import Candidate, allot
 from twin.stack.grasping.tray import TrayBook
-from twin.stack.tasks.arm_worker import ArmWorker, Job, grasp_of
+from twin.stack.tasks.arm_worker import ArmWorker, Job, Phase, grasp_of
 
 ALLOT_PERIOD = 0.05  # s between allotments
 REFINE_PERIOD = 0.05  # s between corrections of a plan under way
@@ -122,4 +122,4 @@ class Picker:
 
     @staticmethod
     def _given_up(worker: ArmWorker) -> bool:
-        return worker.phase.value == "giving up"
+        return worker.phase in (Phase.GIVING_UP, Phase.BLOCKED)
