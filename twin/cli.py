@@ -279,8 +279,3 @@ def _on_interrupt(handler) -> None:
 
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
-
-
-def script() -> None:
-    """Entry point of the installed command."""
-    sys.exit(main())
