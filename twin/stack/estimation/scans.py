@@ -31,7 +31,7 @@ def scan_fault(scan: LidarScan, beams_needed: bool = True) -> str | None:
 
 def beam_angles(scan: LidarScan) -> Array:
     """Angles of the beams in the sensor frame, rad. Shape (n,)."""
-    return scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    return scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges), dtype=np.float64)
 
 
 def beam_points(scan: LidarScan, max_range: float = np.inf) -> Array:
