@@ -1,0 +1,169 @@
+"""Poses that agree best with all that was measured between them: pose graph in the plane.
+
+Nodes 0 ... n-1 form a chain, each measured from the one before; further edges close loops. The
+normal equations are then block-tridiagonal but for a few loops: the chain is solved in linear time
+and the loops enter by Woodbury's identity, so nothing of size n x n is ever built.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.geometry import Array, between2, compose2, rot2, wrap_angle
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Pose of node `to` measured in node `start`, with its covariance."""
+
+    start: int
+    to: int
+    pose: Array  # (3,) x, y, yaw
+    covariance: Array  # (3, 3), in the axes of `start`
+
+
+@dataclass
+class PoseGraph:
+    """Chain with loop closures.
+
+    Args:
+        first: pose of node 0 in world.
+        first_sigma: its standard deviations, m, m, rad.
+    """
+
+    first: Array
+    first_sigma: Array
+    poses: list[Array] = field(default_factory=list)  # of the nodes, in world
+    chain: list[Edge] = field(default_factory=list)  # edge i leads from node i to i + 1
+    loops: list[Edge] = field(default_factory=list)
+
+    def __post_init__(self):
+        self.first = np.array(self.first, dtype=float)
+        self.first_sigma = np.array(self.first_sigma, dtype=float)
+        self.poses = self.poses or [self.first.copy()]
+
+    def append(self, pose: Array, covariance: Array) -> int:
+        """Add a node measured from the last one; returns its number."""
+        n = len(self.poses)
+        self.chain.append(Edge(n - 1, n, np.array(pose, dtype=float), np.array(covariance)))
+        self.poses.append(compose2(self.poses[-1], pose))
+        return n
+
+    def close(self, edge: Edge) -> None:
+        """Add a loop closure.
+
+        Raises:
+            ValueError: for nodes that do not exist or a measurement that is not finite.
+        """
+        n = len(self.poses)
+        if not (0 <= edge.start < n and 0 <= edge.to < n and edge.start != edge.to):
+            raise ValueError(f"loop {edge.start} -> {edge.to}: nodes are 0 to {n - 1}")
+        if not (np.all(np.isfinite(edge.pose)) and np.all(np.isfinite(edge.covariance))):
+            raise ValueError(f"loop {edge.start} -> {edge.to}: measurement is not finite")
+        self.loops.append(edge)
+
+    def optimise(self, iterations: int = 15, robust: float = 3.0) -> float:
+        """Gauss-Newton over all nodes.
+
+        Args:
+            iterations: at most.
+            robust: normalised error beyond which a loop loses weight: dynamic covariance scaling,
+                Agarwal et al. 2013, Eq. 15, with phi = robust^2.
+
+        Returns:
+            Root of the mean squared normalised error of the loops; 0 without loops.
+        """
+        for _ in range(iterations):
+            step = self._step(robust)
+            self.poses = [
+                np.array([*(p[:2] + d[:2]), wrap_angle(p[2] + d[2])])
+                for p, d in zip(self.poses, step, strict=True)
+            ]
+            if np.max(np.abs(step)) < 1e-7:
+                break
+        if not self.loops:
+            return 0.0
+        squares = [e @ np.linalg.solve(loop.covariance, e) for loop, e in self._loop_errors()]
+        return float(np.sqrt(np.mean(squares)))
+
+    def _loop_errors(self):
+        return [(loop, edge_error(loop, self.poses)) for loop in self.loops]
+
+    def _step(self, robust: float) -> Array:
+        """Change of the nodes. Shape (n, 3)."""
+        n = len(self.poses)
+        diagonal, below = np.zeros((n, 3, 3)), np.zeros((max(n - 1, 0), 3, 3))
+        gradient = np.zeros((n, 3))
+        prior = np.diag(self.first_sigma**-2.0)
+        offset = self.poses[0] - self.first
+        offset[2] = wrap_angle(offset[2])
+        diagonal[0] += prior
+        gradient[0] += prior @ offset
+        for edge in self.chain:
+            e, A, B = edge_error(edge, self.poses), *edge_jacobians(edge, self.poses)
+            W = np.linalg.inv(edge.covariance)
+            i, j = edge.start, edge.to
+            diagonal[i] += A.T @ W @ A
+            diagonal[j] += B.T @ W @ B
+            below[i] += B.T @ W @ A
+            gradient[i] += A.T @ W @ e
+            gradient[j] += B.T @ W @ e
+        # H = T + U U^T, where each loop gives U three columns.
+        U = np.zeros((n, 3, 3 * len(self.loops)))
+        for k, (edge, e) in enumerate(self._loop_errors()):
+            A, B = edge_jacobians(edge, self.poses)
+            W = np.linalg.inv(edge.covariance)
+            scale = min(1.0, 2 * robust**2 / (robust**2 + float(e @ W @ e)))
+            L = scale * np.linalg.cholesky(W)  # W scaled by scale^2 is L L^T
+            columns = slice(3 * k, 3 * k + 3)
+            U[edge.start, :, columns] += A.T @ L
+            U[edge.to, :, columns] += B.T @ L
+            gradient[edge.start] += A.T @ L @ (L.T @ e)
+            gradient[edge.to] += B.T @ L @ (L.T @ e)
+        solved = _solve_chain(diagonal, below, np.concatenate([gradient[:, :, None], U], axis=2))
+        x, V = solved[:, :, 0], solved[:, :, 1:]
+        if self.loops:
+            flat_U, flat_V = U.reshape(3 * n, -1), V.reshape(3 * n, -1)
+            small = np.eye(flat_U.shape[1]) + flat_U.T @ flat_V
+            x = x - (flat_V @ np.linalg.solve(small, flat_U.T @ x.reshape(-1))).reshape(n, 3)
+        return -x
+
+
+def edge_error(edge: Edge, poses: list[Array]) -> Array:
+    """Believed minus measured pose of `to` in `start`. Shape (3,)."""
+    error = between2(poses[edge.start], poses[edge.to]) - edge.pose
+    error[2] = wrap_angle(error[2])
+    return error
+
+
+def edge_jacobians(edge: Edge, poses: list[Array]) -> tuple[Array, Array]:
+    """Derivatives of the error by the poses of `start` and `to`. Shapes (3, 3)."""
+    a, b = poses[edge.start], poses[edge.to]
+    R = rot2(a[2]).T
+    A, B = np.zeros((3, 3)), np.zeros((3, 3))
+    A[:2, :2], B[:2, :2] = -R, R
+    x, y = R @ (b[:2] - a[:2])
+    A[:2, 2] = y, -x
+    A[2, 2], B[2, 2] = -1.0, 1.0
+    return A, B
+
+
+def _solve_chain(diagonal: Array, below: Array, right: Array) -> Array:
+    """Solve a symmetric block-tridiagonal system by block elimination.
+
+    Args:
+        diagonal: shape (n, 3, 3).
+        below: block (i + 1, i). Shape (n - 1, 3, 3).
+        right: right-hand sides. Shape (n, 3, m).
+    """
+    n = len(diagonal)
+    pivot, y = diagonal.copy(), right.copy()
+    for i in range(1, n):
+        factor = np.linalg.solve(pivot[i - 1], below[i - 1].T).T
+        pivot[i] -= factor @ below[i - 1].T
+        y[i] -= factor @ y[i - 1]
+    x = np.empty_like(y)
+    x[n - 1] = np.linalg.solve(pivot[n - 1], y[n - 1])
+    for i in range(n - 2, -1, -1):
+        x[i] = np.linalg.solve(pivot[i], y[i] - below[i].T @ x[i + 1])
+    return x
