@@ -87,7 +87,7 @@ def test_pick_and_place(arm, speed, record_property):
         "cycle_s": cycle,
         "placed_mm": 1e3 * float(np.hypot(*placed[:2])),
     }.items():
-        record_property(name, round(value, 3))
+        record_property(name, round(float(value), 3))
     assert descending < 0.0015 and carrying < 0.0015  # of which joint zeros about 0.5 mm
     assert intercept < 0.001
     assert slip < 0.0025  # see models/arm/README.md, "Held parts"
