@@ -40,10 +40,14 @@ class SlamSettings:
     loop_neighbours: int = 6  # key frames on either side drawn for a try
     loop_inliers: float = 0.75
     loop_conditioning: float = 0.15  # a bare corridor closes no loop
-    tracking: MatchSettings = MatchSettings(window=(0.10, 0.05))
-    closing: MatchSettings = MatchSettings(window=(0.80, 0.20), step=(0.08, 0.02), sigma=0.15)
-    lidar: SensorModel = SensorModel()
-    rgbd: SensorModel = SensorModel(hit=0.6, miss=-0.3, max_range=3.0, blind=1.1)
+    tracking: MatchSettings = field(default_factory=lambda: MatchSettings(window=(0.10, 0.05)))
+    closing: MatchSettings = field(
+        default_factory=lambda: MatchSettings(window=(0.80, 0.20), step=(0.08, 0.02), sigma=0.15)
+    )
+    lidar: SensorModel = field(default_factory=SensorModel)
+    rgbd: SensorModel = field(
+        default_factory=lambda: SensorModel(hit=0.6, miss=-0.3, max_range=3.0, blind=1.1)
+    )
 
 
 @dataclass
