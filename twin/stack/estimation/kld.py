@@ -34,7 +34,7 @@ class Kld:
 
     def __post_init__(self):
         sized = all(size > 0 for size in self.bin_size) and np.all(np.isfinite(self.bin_size[:2]))
-        if not (0 < self.epsilon and 0 < self.delta < 1 and sized and 1 <= self.least <= self.most):
+        if not (self.epsilon > 0 and 0 < self.delta < 1 and sized and 1 <= self.least <= self.most):
             raise ValueError(f"KLD: {self} is out of range")
 
     def count(self, bins: int) -> int:
