@@ -145,6 +145,11 @@ class World:
         """Bring all derived data up to the state, after it was set before the run."""
         mujoco.mj_forward(self.model, self.data)
 
+    def move_to(self, data: mujoco.MjData) -> None:
+        """Go on in other memory, which gets the present state."""
+        mujoco.mj_copyData(data, self.model, self.data)
+        self.data = data
+
     def set_belt_speed(self, speed: float) -> None:
         """Run the belt at `speed` m/s along its direction."""
         self.model.geom_surfacevel[self._belt, 0] = speed
