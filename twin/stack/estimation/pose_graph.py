@@ -49,8 +49,16 @@ class PoseGraph:
         self.poses.append(compose2(self.poses[-1], pose))
         return n
 
-    def close(self, edge: Edge) -> None:
-        """Add a loop closure.
+    def close(self, edge: Edge, gate: float = 16.27) -> bool:
+        """Add a loop closure, unless the chain contradicts it.
+
+        Args:
+            edge: the measurement.
+            gate: squared Mahalanobis distance from what the chain believes; chi-square, three
+                degrees of freedom, 99.9 %.
+
+        Returns:
+            False if it lies outside the gate; it is then left out.
 
         Raises:
             ValueError: for nodes that do not exist or a measurement that is not finite.
@@ -60,21 +68,40 @@ class PoseGraph:
             raise ValueError(f"loop {edge.start} -> {edge.to}: nodes are 0 to {n - 1}")
         if not (np.all(np.isfinite(edge.pose)) and np.all(np.isfinite(edge.covariance))):
             raise ValueError(f"loop {edge.start} -> {edge.to}: measurement is not finite")
+        e = edge_error(edge, self.poses)
+        S = edge.covariance + self.chain_covariance(edge.start, edge.to)
+        if e @ np.linalg.solve(S, e) > gate:
+            return False
         self.loops.append(edge)
+        return True
 
-    def optimise(self, iterations: int = 15, robust: float = 3.0) -> float:
-        """Gauss-Newton over all nodes.
+    def chain_covariance(self, start: int, to: int) -> Array:
+        """Of the pose of `to` in `start` by the chain alone. Shape (3, 3).
 
-        Args:
-            iterations: at most.
-            robust: normalised error beyond which a loop loses weight: dynamic covariance scaling,
-                Agarwal et al. 2013, Eq. 15, with phi = robust^2.
+        Each link adds its own covariance, and its turn swings all that comes after it.
+        """
+        low, high = min(start, to), max(start, to)
+        total, origin = np.zeros((3, 3)), self.poses[start]
+        end = between2(origin, self.poses[to])
+        for edge in self.chain[low:high]:
+            node = between2(origin, self.poses[edge.start])
+            G = np.eye(3)
+            G[:2, :2] = rot2(node[2])
+            arm = end[:2] - between2(origin, self.poses[edge.to])[:2]
+            if start > to:  # the far end is the earlier one
+                arm = end[:2] - node[:2]
+            G[:2, 2] = -arm[1], arm[0]
+            total += G @ edge.covariance @ G.T
+        return total
+
+    def optimise(self, iterations: int = 15) -> float:
+        """Gauss-Newton over all nodes, at most that many times.
 
         Returns:
             Root of the mean squared normalised error of the loops; 0 without loops.
         """
         for _ in range(iterations):
-            step = self._step(robust)
+            step = self._step()
             self.poses = [
                 np.array([*(p[:2] + d[:2]), wrap_angle(p[2] + d[2])])
                 for p, d in zip(self.poses, step, strict=True)
@@ -89,7 +116,7 @@ class PoseGraph:
     def _loop_errors(self):
         return [(loop, edge_error(loop, self.poses)) for loop in self.loops]
 
-    def _step(self, robust: float) -> Array:
+    def _step(self) -> Array:
         """Change of the nodes. Shape (n, 3)."""
         n = len(self.poses)
         diagonal, below = np.zeros((n, 3, 3)), np.zeros((max(n - 1, 0), 3, 3))
@@ -112,9 +139,7 @@ class PoseGraph:
         U = np.zeros((n, 3, 3 * len(self.loops)))
         for k, (edge, e) in enumerate(self._loop_errors()):
             A, B = edge_jacobians(edge, self.poses)
-            W = np.linalg.inv(edge.covariance)
-            scale = min(1.0, 2 * robust**2 / (robust**2 + float(e @ W @ e)))
-            L = scale * np.linalg.cholesky(W)  # W scaled by scale^2 is L L^T
+            L = np.linalg.cholesky(np.linalg.inv(edge.covariance))
             columns = slice(3 * k, 3 * k + 3)
             U[edge.start, :, columns] += A.T @ L
             U[edge.to, :, columns] += B.T @ L

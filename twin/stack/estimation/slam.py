@@ -28,10 +28,9 @@ class SlamSettings:
     key_distance: float = 0.30  # m, and
     key_turn: float = 0.25  # rad between key frames
     # Noise u of the odometry, added to its own covariance: per root metre and root rad.
-    drift: tuple[float, float] = (0.01, 0.01)
+    drift: tuple[float, float] = (0.02, 0.015)
     min_inliers: float = 0.60  # share of points that must lie on the map for a correction
     gate: float = 16.27  # squared Mahalanobis distance of a correction: chi-square, 3, 99.9 %
-    first_frames: int = 3  # key frames drawn before the map is matched against
     field_limit: float = 0.5  # m, of the distance field
     max_range: float = 25.0  # m of the beams that are matched
     loop_radius: float = 2.0  # m from an old key frame at which a loop is tried
@@ -137,7 +136,7 @@ class Slam:
             self._add_key(scan, points)
             if self._close_loop():
                 self.redraw()
-            self._renew_field()
+            self._field = self._field_of(self.lidar)
         return True
 
     def add_depth(self, depth: DepthScan, odometry: Array) -> bool:
@@ -228,11 +227,6 @@ class Slam:
         sensor = compose2(self.pose, self._lidar_in_base)
         self.lidar.insert_scan(scan, sensor, self.settings.lidar)
 
-    def _renew_field(self) -> None:
-        if len(self.key_frames) < self.settings.first_frames:
-            return
-        self._field = self._field_of(self.lidar)
-
     def _field_of(self, grid: OccupancyGrid) -> LikelihoodField:
         limit = self.settings.field_limit
         return LikelihoodField(grid.occupied, grid.origin, grid.resolution, limit)
@@ -259,7 +253,9 @@ class Slam:
         R[:2, :2] = rot2(poses[near, 2]).T
         grain = np.diag([0.01**2, 0.01**2, 0.003**2])
         covariance = R @ match.covariance @ R.T + grain
-        self.graph.close(Edge(near, here, between2(poses[near], match.pose), covariance))
+        edge = Edge(near, here, between2(poses[near], match.pose), covariance)
+        if not self.graph.close(edge):
+            return False
         self.graph.optimise()
         self.pose = self.graph.poses[here].copy()
         return True
