@@ -295,4 +295,4 @@ def test_depth_scans_go_with_their_key_frame():
     mapper.graph.poses[0] = np.array([0.0, 1.0, 0.0])
     mapper.redraw()
     assert not mapper.rgbd.occupied[tuple(mapper.rgbd.cells(thing))]
-    assert mapper.rgbd.occupied[tuple(mapper.rgbd.cells(thing + (0.0, 1.0)))]
+    assert mapper.rgbd.occupied[tuple(mapper.rgbd.cells(thing + np.array([0.0, 1.0])))]
