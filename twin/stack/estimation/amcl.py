@@ -158,15 +158,23 @@ class Amcl:
             return self.pose.copy()
         return compose2(self.pose, between2(self._odometry, odometry))
 
-    def fit(self, pose: Array) -> float | None:
+    def fit(self, pose: Array, odometry: Array | None = None) -> float | None:
         """How well the last scan weighed fits a pose: geometric mean of its beams' density, 1/m.
 
-        None before the first scan. To be compared with other poses of the same scan.
+        Args:
+            pose: x, y, yaw in world. Shape (3,).
+            odometry: what the odometry said at that pose, by which it is carried to the scan's
+                exposure; without one the pose is taken as that of the exposure.
+
+        Returns:
+            None before the first scan. To be compared with other poses of the same scan.
         """
         if self._scan is None:
             return None
-        pose = np.asarray(pose, dtype=float).reshape(1, 3)
-        return float(np.exp(self.likelihood.log_likelihood(pose, *self._scan)[0]))
+        pose = np.asarray(pose, dtype=float)
+        if odometry is not None and self._odometry is not None:
+            pose = compose2(pose, between2(odometry, self._odometry))
+        return float(np.exp(self.likelihood.log_likelihood(pose[None], *self._scan)[0]))
 
     @property
     def lost(self) -> bool:

@@ -119,7 +119,8 @@ class ScanLikelihood:
         if beams == 0:
             return np.zeros(len(poses))
         scaled = np.ascontiguousarray(p_base.T * np.float32(self._scale), dtype=np.float32)
-        total = _sum_beams(poses, scaled[0], scaled[1], self._table, *self._origin, self._scale)
+        x0, y0 = self._origin
+        total = _sum_beams(poses, scaled[0], scaled[1], self._table, x0, y0, self._scale)
         return (total + silent * self._at_most) / beams
 
     def evidence(self, beams: int) -> float:
