@@ -20,9 +20,7 @@ ARMS = ("arm0", "arm1")
 GRIP_STEPS = 5  # physics steps between looks at what the hands hold: once a tick of the stack
 
 
-# MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder.
 _last_warning = deque(["no text"], maxlen=1)
-mujoco.set_mju_user_warning(lambda text: _last_warning.append(text.strip()))
 
 
 class PlantError(RuntimeError):
@@ -68,6 +66,9 @@ class World:
     def __init__(
         self, layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
     ):
+        # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder; and
+        # dm_control, wherever it is imported, sends them to a log of its own.
+        mujoco.set_mju_user_warning(lambda text: _last_warning.append(text.strip()))
         spec = build(layout, as_built, pool, models)
         try:
             self.model = spec.compile()
