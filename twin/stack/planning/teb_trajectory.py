@@ -1,0 +1,182 @@
+"""What the timed elastic band hands on: a trajectory, and the proof that it keeps its promises."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from twin.geometry import Array, rot2, wrap_angle
+from twin.stack.planning.clearance import Footprint, nearest
+from twin.stack.planning.teb_terms import (
+    Limits,
+    acceleration_terms,
+    twist_between,
+    velocity_terms,
+)
+
+STEP, STEP_TURN = 0.02, 0.04  # m, rad between the poses at which the room is checked
+SLACK = 1e-6  # of a limit
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Timed poses that end at rest.
+
+    Args:
+        nodes: x, y, yaw (unwrapped) in world, and time. Shape (n, 4).
+        velocity: vx, vy, omega in base at the start. Shape (3,).
+        began: time of the first node, s.
+    """
+
+    nodes: Array
+    velocity: Array
+    began: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        return float(self.nodes[-1, 3])
+
+    @property
+    def dt(self) -> Array:
+        """Time differences of the band, s. Shape (n - 1,)."""
+        return np.diff(self.nodes[:, 3])
+
+    @property
+    def length(self) -> float:
+        """Metres."""
+        return float(np.hypot(*np.diff(self.nodes[:, :2], axis=0).T).sum())
+
+    def twists(self) -> Array:
+        """Twist in base of each piece. Shape (n - 1, 3)."""
+        return np.array(
+            [twist_between(a, b) for a, b in zip(self.nodes[:-1], self.nodes[1:], strict=True)]
+        )
+
+    def at(self, now: float) -> tuple[Array, Array]:
+        """Pose in world and velocity in base at a time; at rest past the end. Shapes (3,).
+
+        The pose runs smoothly through the nodes. The velocity is interpolated between the middles
+        of the pieces: the limits, which are convex, hold for it too. (The pose's own rate of change
+        passes them by a few per cent where the velocity bends sharply.)
+        """
+        t = min(max(now - self.began, 0.0), self.duration)
+        times, twists = self.nodes[:, 3], self.twists()
+        i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
+        part = (t - times[i]) / (times[i + 1] - times[i])
+        start = np.array([*(rot2(self.nodes[0, 2]) @ self.velocity[:2]), self.velocity[2]])
+        pose = np.array(between(self.nodes, node_velocities(self.nodes, start), i, part))
+        pose[2] = wrap_angle(pose[2])
+        middles = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]])
+        known = np.vstack([self.velocity, twists, np.zeros(3)])
+        return pose, np.array([np.interp(t, middles, known[:, k]) for k in range(3)])
+
+
+@njit(cache=True)
+def node_velocities(nodes, start):
+    """Velocity in world at each node, exact under constant acceleration; rest at the end. (n, 3)"""
+    n = nodes.shape[0]
+    out = np.zeros((n, 3))
+    out[0] = start
+    for i in range(1, n - 1):
+        d1, d2 = nodes[i, 3] - nodes[i - 1, 3], nodes[i + 1, 3] - nodes[i, 3]
+        for k in range(3):
+            v1, v2 = (nodes[i, k] - nodes[i - 1, k]) / d1, (nodes[i + 1, k] - nodes[i, k]) / d2
+            out[i, k] = (d2 * v1 + d1 * v2) / (d1 + d2)
+    return out
+
+
+@njit(cache=True)
+def between(nodes, velocities, i, part):
+    """Pose (x, y, yaw) at a part, 0 to 1, of piece i: cubic through poses and velocities."""
+    dt = nodes[i + 1, 3] - nodes[i, 3]
+    a, b = part * part * (3 - 2 * part), part * (1 - part)
+    x = nodes[i, :3] + a * (nodes[i + 1, :3] - nodes[i, :3])
+    x += dt * b * ((1 - part) * velocities[i] - part * velocities[i + 1])
+    return x[0], x[1], x[2]
+
+
+@njit(cache=True)
+def shares(nodes, ends, limits):
+    """Greatest share of the limits of velocity and of acceleration that a band takes."""
+    n = nodes.shape[0]
+    J = np.zeros((3, 12))
+    speed, push = 0.0, 0.0
+    for i in range(n - 1):
+        if nodes[i + 1, 3] <= nodes[i, 3]:
+            return np.inf, np.inf
+        ux, uy, uw = velocity_terms(nodes[i], nodes[i + 1], limits, J[:, :8])
+        speed = max(speed, abs(ux) + abs(uy) + abs(uw))
+    for i in range(n):
+        kind = 1 if i == 0 else (2 if i == n - 1 else 0)
+        before = ends[0] if i == 0 else nodes[i - 1]
+        after = nodes[i + 1] if i < n - 1 else nodes[i]
+        size, turn = acceleration_terms(before, nodes[i], after, ends[1], kind, limits, J[:2])
+        push = max(push, size + abs(turn))
+    return speed, push
+
+
+@njit(cache=True)
+def least_room(nodes, start, half, obstacles, step, step_turn, first=0):
+    """Least room all along a band, as it is driven: metres, row of the obstacle, x, y, yaw, t.
+
+    Args:
+        nodes: shape (n, 4).
+        start: velocity in world at the start. Shape (3,).
+        half: half length and half width of the footprint. Shape (2,).
+        obstacles: rows as in `clearance`. Shape (m, 7).
+        step, step_turn: m, rad between the poses that are looked at.
+        first: piece from which on to look.
+    """
+    worst = (np.inf, -1, 0.0, 0.0, 0.0, 0.0)
+    velocities = node_velocities(nodes, start)
+    for i in range(first, nodes.shape[0] - 1):
+        a, b = nodes[i], nodes[i + 1]
+        way = np.hypot(b[0] - a[0], b[1] - a[1]) / step
+        pieces = max(int(np.ceil(max(way, abs(b[2] - a[2]) / step_turn))), 1)
+        for k in range(pieces + 1):
+            x, y, yaw = between(nodes, velocities, i, k / pieces)
+            t = a[3] + k / pieces * (b[3] - a[3])
+            d, which = nearest(x, y, yaw, t, half, obstacles)
+            if d < worst[0]:
+                worst = (d, which, x, y, yaw, t)
+    return worst
+
+
+def fault(
+    nodes: Array, ends: Array, limits: Limits, footprint: Footprint, obstacles: Array, rooms: Array
+) -> str | None:
+    """Why a band must not be driven, in one line, or None.
+
+    Args:
+        nodes: shape (n, 4).
+        ends: velocity in world at start and end. Shape (2, 3).
+        limits: of the vehicle.
+        footprint: of the vehicle.
+        obstacles: rows as in `clearance`. Shape (m, 7).
+        rooms: that must be kept to each, m. Shape (m,).
+    """
+    if not np.all(np.isfinite(nodes)):
+        return "the band is not finite"
+    speed, push = shares(nodes, ends, limits)
+    if speed > 1 + SLACK:
+        return f"a limit of velocity is exceeded {speed:.3f} times"
+    if push > 1 + SLACK:
+        return f"a limit of acceleration is exceeded {push:.3f} times"
+    return room_fault(nodes, ends[0], footprint, obstacles, rooms)
+
+
+def room_fault(
+    nodes: Array, start: Array, footprint: Footprint, obstacles: Array, rooms: Array, first: int = 0
+) -> str | None:
+    """Where a band comes too near to an obstacle from a piece on, in one line, or None."""
+    for need in np.unique(rooms):
+        some = np.ascontiguousarray(obstacles[rooms == need])
+        least, which, x, y, _, t = least_room(
+            nodes, start, footprint.half, some, STEP, STEP_TURN, first
+        )
+        if which >= 0 and least < need:
+            return (
+                f"{least:.3f} m of room at ({x:.2f}, {y:.2f}) after {t:.1f} s,"
+                f" {need:.3f} m are needed"
+            )
+    return None
