@@ -1,6 +1,5 @@
 """The compiled cell: steps it, tells the truth about it, and fails loudly when physics does."""
 
-from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,9 +17,6 @@ from twin.plant.shapes import Shape, shapes_of
 
 ARMS = ("arm0", "arm1")
 GRIP_STEPS = 5  # physics steps between looks at what the hands hold: once a tick of the stack
-
-
-_last_warning = deque(["no text"], maxlen=1)
 
 
 class PlantError(RuntimeError):
@@ -68,7 +64,9 @@ class World:
     ):
         # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder; and
         # dm_control, wherever it is imported, sends them to a log of its own.
-        mujoco.set_mju_user_warning(lambda text: _last_warning.append(text.strip()))
+        mujoco.set_mju_user_warning(
+            lambda text: None
+        )  # `step` reports them; no log file is written
         spec = build(layout, as_built, pool, models)
         try:
             self.model = spec.compile()
@@ -125,10 +123,20 @@ class World:
             self._grips.observe(self.data)
         mujoco.mj_step1(self.model, self.data)
         if self.data.warning.number.any():
-            raise PlantError(f"MuJoCo warned at {before:.3f} s: {_last_warning[-1]}")
+            raise PlantError(f"MuJoCo warned at {before:.3f} s: {self._warnings()}")
         if not self.data.time > before:
             raise PlantError(f"physics was reset at {before:.3f} s")
         self._counter.observe(self.data.time, self.data)
+
+    def _warnings(self) -> str:
+        """Names of MuJoCo's warnings so far, such as BADQPOS: not a number in a position."""
+        number = self.data.warning.number
+        kinds = mujoco.mjtWarning.__members__
+        return ", ".join(
+            name.removeprefix("mjWARN_")
+            for name, kind in kinds.items()
+            if kind.value < len(number) and number[kind.value]
+        )
 
     # --- what the feeder and the faults may write -----------------------------------------------
 
