@@ -62,11 +62,9 @@ class World:
     def __init__(
         self, layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
     ):
-        # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder; and
-        # dm_control, wherever it is imported, sends them to a log of its own.
-        mujoco.set_mju_user_warning(
-            lambda text: None
-        )  # `step` reports them; no log file is written
+        # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder; `step`
+        # reports them instead.
+        mujoco.set_mju_user_warning(lambda text: None)
         spec = build(layout, as_built, pool, models)
         try:
             self.model = spec.compile()
