@@ -137,7 +137,8 @@ def search(weight, i0, j0, i1, j1, diagonal):
     right = np.array([0, 0, -1, 1, -1, 1, -1, 1])
     moves = down * width + right
     # The two cells that a diagonal step passes between, as the numbers of their own moves.
-    sides = np.array([0, 2, 0, 3, 1, 2, 1, 3], dtype=np.uint32)
+    first, second = np.array([0, 0, 1, 1]), np.array([2, 3, 2, 3])
+    closed = np.zeros(4, dtype=np.bool_)
     g = np.full(rows * width, np.inf)
     parent = np.full(rows * width, -1, dtype=np.int32)
     keys, items = np.empty(8192), np.empty(8192, dtype=np.uint32)
@@ -161,14 +162,10 @@ def search(weight, i0, j0, i1, j1, diagonal):
         for m in range(8):
             there = np.uint32(here + moves[m])
             cost = table[there]
-            if cost == np.inf:
-                continue
-            if m >= 4:
-                beside = 2 * m - 8
-                if (
-                    table[np.uint32(here + moves[sides[beside]])] == np.inf
-                    or table[np.uint32(here + moves[sides[beside + 1]])] == np.inf
-                ):
+            if m < 4:
+                closed[m] = cost == np.inf
+            else:
+                if closed[first[m - 4]] or closed[second[m - 4]]:
                     continue
                 cost *= diagonal
             total = so_far + cost

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 
@@ -59,6 +60,11 @@ def segments(ends, radius: float = 0.0, velocity=(0.0, 0.0)) -> Array:
 def no_obstacles() -> Array:
     """An empty array of obstacles. Shape (0, 7)."""
     return np.zeros((0, 7))
+
+
+def standing(obstacles: Array) -> NDArray[np.bool_]:
+    """Which obstacles do not move. Shape (n,)."""
+    return (obstacles[:, VX] == 0) & (obstacles[:, VY] == 0)
 
 
 def obstacle_fault(obstacles: Array) -> str | None:

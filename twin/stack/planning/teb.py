@@ -19,18 +19,17 @@ from twin.stack.planning.clearance import (
     AY,
     BX,
     BY,
-    RADIUS,
     VX,
     VY,
     Footprint,
-    clearance,
     no_obstacles,
     obstacle_fault,
     room,
+    standing,
 )
 from twin.stack.planning.teb_seeds import PASSES, bent, headings, smoothed, spaced, timed
 from twin.stack.planning.teb_solver import Weights, limits_of, optimise, resized
-from twin.stack.planning.teb_trajectory import Trajectory, fault, room_fault, shares
+from twin.stack.planning.teb_trajectory import Trajectory, fault, room_fault, rooms_kept, shares
 
 
 @dataclass(frozen=True)
@@ -109,29 +108,29 @@ class Teb:
             goal_yaw: at the path's end, rad.
             obstacles: rows as in `clearance`, where they are now. Shape (m, 7).
         """
-        obstacles = no_obstacles() if obstacles is None else obstacles
+        around: Array = no_obstacles() if obstacles is None else obstacles
         pose, velocity, path = (np.asarray(a, dtype=float) for a in (pose, velocity, path))
-        reason = self._input_fault(now, pose, velocity, path, goal_yaw, obstacles)
+        reason = self._input_fault(now, pose, velocity, path, goal_yaw, around)
         if reason is not None:
             return TebPlan(None, reason)
-        obstacles = np.ascontiguousarray(obstacles, dtype=float)
-        reference, goal = self._free_end(pose, path, goal_yaw, obstacles)
-        for name, place, around in (
-            ("start", pose, obstacles),
-            ("goal", goal, obstacles[_standing(obstacles)]),
+        around = np.ascontiguousarray(around, dtype=float)
+        reference, goal = self._free_end(pose, path, goal_yaw, around)
+        for name, place, near in (
+            ("start", pose, around),
+            ("goal", goal, around[standing(around)]),
         ):
-            if room(place, self.footprint, around) <= 0:
+            if room(place, self.footprint, near) <= 0:
                 self.last = None
                 return TebPlan(None, f"{name} ({place[0]:.2f}, {place[1]:.2f}) touches an obstacle")
-        bands = self._seeds(pose, velocity, reference, goal, obstacles)
+        bands = self._seeds(pose, velocity, reference, goal, around)
         warm = self._moved_on(now, pose, goal)
         if warm is not None:
             bands.insert(0, warm)
         ends = np.zeros((2, 3))
         ends[0, :2], ends[0, 2] = rot2(pose[2]) @ velocity[:2], velocity[2]
-        rooms = self._rooms(pose, goal, obstacles)
+        rooms = rooms_kept(pose, goal, self.footprint, around, self.options.room)
         ranked = sorted(
-            (self._relaxed(band, ends, obstacles, 0), k, band) for k, band in enumerate(bands)
+            (self._relaxed(band, ends, around, 0), k, band) for k, band in enumerate(bands)
         )
         if warm is not None:
             ranked = sorted(
@@ -141,12 +140,12 @@ class Teb:
         for cost, _, band in ranked[: self.options.tries]:
             if not math.isfinite(cost):
                 continue
-            nodes, why = self._finished(band, ends, obstacles, rooms)
+            nodes, why = self._finished(band, ends, around, rooms)
             if why is None:
                 self.last = Trajectory(nodes, velocity, now)
                 return TebPlan(self.last, "", len(bands))
             reason = why if reason == "no band" else reason
-        if self._still_good(now, pose, goal, obstacles, rooms):
+        if self._still_good(now, pose, goal, around, rooms):
             return TebPlan(self.last, "", len(bands))
         self.last = None
         return TebPlan(None, reason, len(bands))
@@ -188,7 +187,7 @@ class Teb:
 
     def _free_end(self, pose, path, goal_yaw, obstacles) -> tuple[Array, Array]:
         """Reference and the pose at its end; the horizon is drawn in where nothing could stand."""
-        still, length = obstacles[_standing(obstacles)], self.options.horizon
+        still, length = obstacles[standing(obstacles)], self.options.horizon
         for share in (1.0, 0.8, 0.6, 0.4):
             reference, goal, whole = self._ahead(pose, path, goal_yaw, share * length)
             if whole or room(goal, self.footprint, still) > self.options.room:
@@ -291,22 +290,3 @@ class Teb:
                 break
             slower[:, 3] *= 1 + 1.1 * (over - 1) + 1e-7  # rounded shares fall a little slower
         return slower
-
-    def _rooms(self, pose: Array, goal: Array, obstacles: Array) -> Array:
-        """Room that must be kept to each obstacle, m: less where it starts or has to end closer."""
-        rooms = np.full(len(obstacles), self.options.room)
-        standing, half = _standing(obstacles), self.footprint.half
-        for k, o in enumerate(obstacles):
-            for place in (pose, goal) if standing[k] else (pose,):
-                d = (
-                    clearance(place[0], place[1], place[2], half, o[AX], o[AY], o[BX], o[BY])[0]
-                    - o[RADIUS]
-                )
-                if d < rooms[k]:
-                    rooms[k] = 0.9 * d
-        return rooms
-
-
-def _standing(obstacles: Array) -> Array:
-    """Which obstacles do not move. Shape (m,)."""
-    return np.all(obstacles[:, [VX, VY]] == 0, axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from twin.geometry import Array, rot2, wrap_angle
-from twin.stack.planning.clearance import Footprint, nearest
+from twin.stack.planning.clearance import Footprint, nearest, room, standing
 from twin.stack.planning.teb_terms import (
     Limits,
     acceleration_terms,
@@ -163,6 +163,20 @@ def fault(
     if push > 1 + SLACK:
         return f"a limit of acceleration is exceeded {push:.3f} times"
     return room_fault(nodes, ends[0], footprint, obstacles, rooms)
+
+
+def rooms_kept(
+    pose: Array, goal: Array, footprint: Footprint, obstacles: Array, most: float
+) -> Array:
+    """Room to be kept to each obstacle, m: less where it starts or must end closer. Shape (m,)."""
+    rooms, still = np.full(len(obstacles), most), standing(obstacles)
+    for k in range(len(obstacles)):
+        one = obstacles[k : k + 1]
+        for place in (pose, goal) if still[k] else (pose,):
+            d = room(place, footprint, one)
+            if d < rooms[k]:
+                rooms[k] = 0.9 * d
+    return rooms
 
 
 def room_fault(
