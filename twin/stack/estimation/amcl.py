@@ -8,6 +8,7 @@ Table 8.3), which brings back a vehicle that was carried away.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from twin.stack.estimation.likelihood_field import LikelihoodField
 from twin.stack.estimation.motion_models import MotionNoise, omnidirectional
 from twin.stack.estimation.scans import scan_fault
 
-MotionModel = Callable[[Array, Array, MotionNoise, Array], Array]
+MotionModel = Callable[[Array, Array, MotionNoise, Any], Array]
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,9 @@ class AmclSettings:
     min_turn: float = 0.035  # rad turned, likewise
     redraw_below: float = 0.5  # share of effective particles
     slow: float = 0.02  # share by which the long mean of the fit follows, each update
-    fast: float = 0.3  # the short mean
-    slack: float = 0.15  # by which the short mean may fall short of the long one
+    fast: float = 0.3  # the short mean, likewise
+    expected: float = 0.7  # share of beams that the map explains, before any is seen
+    slack: float = 0.10  # by which the short mean may fall short of the long one
     most_recovery: float = 0.7  # share of particles that recovery may take
 
 
@@ -81,11 +83,11 @@ class Amcl:
         self.stamp = -np.inf  # of the last scan, s
         self._odometry: Array | None = None  # at the last update
         self.dropped = 0
-        # A fit to begin with: seven beams in ten end on the map. A start in the wrong place falls
-        # short of it.
-        on_map = np.log(beam_density(0.0, s.beams, range_max)) - 0.5
-        off_map = np.log(s.beams.z_rand / range_max)
-        self._slow = self._fast = float(np.exp(0.7 * on_map + 0.3 * off_map))
+        # Log-density of a beam of nowhere, and how much more one that ends on the map has.
+        self._nowhere = float(np.log(s.beams.z_rand / range_max))
+        self._on_map = float(np.log(beam_density(0.0, s.beams, range_max))) - self._nowhere
+        self._slow = self._fast = s.expected
+        self._judged = False  # whether any scan was weighed
         self.scatter()
 
     def initialise(
@@ -142,10 +144,10 @@ class Amcl:
         self.stamp = scan.stamp
         rest = self._odometry is not None
         rest = rest and np.hypot(*step[:2]) < s.min_path and abs(step[2]) < s.min_turn
-        if rest and self._fits(compose2(self.pose, step), p_base, silent):
+        if rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
             return None
         self._odometry, self._scan = odometry, (p_base, silent)
-        normals = self._rng.standard_normal(self.particles.shape)
+        normals = self._rng.standard_normal(self.particles.shape, dtype=np.float32)
         self.particles = s.motion(self.particles, step, s.noise, normals)
         self._weigh(p_base, silent)
         self._redraw(p_base, silent)
@@ -192,8 +194,16 @@ class Amcl:
 
     def _fits(self, pose: Array, p_base: NDArray[np.float32], silent: int) -> bool:
         """Whether a scan at rest fits no worse than usual: a carried vehicle's does not."""
-        fit = np.exp(self.likelihood.log_likelihood(pose[None], p_base, silent)[0])
-        return bool(fit >= (1 - self.settings.slack) * self._slow)
+        fit = self.likelihood.log_likelihood(pose[None], p_base, silent)
+        return bool(self._explained(fit)[0] >= (1 - self.settings.slack) * self._slow)
+
+    def _explained(self, fit: Array) -> Array:
+        """Share of a scan's beams that the map explains at poses of mean log-density `fit` (n,).
+
+        Linear in the number of beams that end off the map, where the density itself would fall to
+        half with one beam in ten.
+        """
+        return np.clip((fit - self._nowhere) / self._on_map, 0.0, 1.0)
 
     def _weigh(self, p_base: NDArray[np.float32], silent: int) -> None:
         s = self.settings
@@ -203,9 +213,13 @@ class Amcl:
         )
         self.weights = weights / np.sum(weights)
         # Weighed by the scan, so that particles of recovery that found nothing do not count.
-        quality = float(self.weights @ np.exp(fit))
-        self._slow += s.slow * (quality - self._slow)
-        self._fast += s.fast * (quality - self._fast)
+        quality = float(self.weights @ self._explained(fit))
+        # What a good fit is shows at once and is forgotten slowly: a long mean learnt on the way
+        # would call the first wrong place good enough.
+        self._slow = max(quality, self._slow + s.slow * (quality - self._slow))
+        settled = self._judged or quality < self._fast
+        self._fast = self._fast + s.fast * (quality - self._fast) if settled else quality
+        self._judged = True
 
     def _recovery(self) -> float:
         """Share of particles to be drawn where the scan fits."""
@@ -223,13 +237,11 @@ class Amcl:
             fresh = self._search.fitting(p_base, silent, found, self._rng)
             self._set(np.concatenate([self.particles[drawn], fresh]))
         else:
-            self._set(self.particles[drawn])
+            self._set(np.take(self.particles, drawn, axis=0))
 
     def _estimate(self) -> None:
         inside = heaviest(self.particles, self.weights)
-        self.pose, self.covariance = mean_and_covariance(
-            self.particles[inside], self.weights[inside]
-        )
+        self.pose, self.covariance = mean_and_covariance(self.particles, self.weights * inside)
 
 
 def _planar(pose: Array | None) -> bool:

@@ -119,8 +119,9 @@ class ScanLikelihood:
         if beams == 0:
             return np.zeros(len(poses))
         scaled = np.ascontiguousarray(p_base.T * np.float32(self._scale), dtype=np.float32)
-        x0, y0 = self._origin
-        total = _sum_beams(poses, scaled[0], scaled[1], self._table, x0, y0, self._scale)
+        x, y = ((poses[:, :2] - self._origin) * self._scale).T.astype(np.float32)
+        yaw = poses[:, 2].astype(np.float32)
+        total = _sum_beams(x, y, np.cos(yaw), np.sin(yaw), scaled[0], scaled[1], self._table)
         return (total + silent * self._at_most) / beams
 
     def evidence(self, beams: int) -> float:
@@ -129,21 +130,18 @@ class ScanLikelihood:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _sum_beams(poses, xs, ys, table, x0, y0, scale):
-    """Sums of the table over beams, all in cells. Free of branches: eight beams at a time."""
-    total = np.empty(len(poses), dtype=np.float64)
+def _sum_beams(x, y, c, s, xs, ys, table):
+    """Sums of the table over beams, all in cells. Free of branches: many beams at a time."""
+    total = np.empty(len(x), dtype=np.float64)
     h, w = table.shape
     flat = table.reshape(-1)
     right, top, zero = np.float32(w - 1), np.float32(h - 1), np.float32(0.0)
     width = np.int32(w)
-    for i in range(len(poses)):
-        c, s = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
-        x = np.float32((poses[i, 0] - x0) * scale)
-        y = np.float32((poses[i, 1] - y0) * scale)
+    for i in range(len(x)):
         log_density = zero
         for j in range(np.uint32(len(xs))):
-            column = min(max(x + c * xs[j] - s * ys[j], zero), right)
-            row = min(max(y + s * xs[j] + c * ys[j], zero), top)
+            column = min(max(x[i] + c[i] * xs[j] - s[i] * ys[j], zero), right)
+            row = min(max(y[i] + s[i] * xs[j] + c[i] * ys[j], zero), top)
             log_density += flat[np.uint32(np.int32(row) * width + np.int32(column))]
         total[i] = log_density
     return total

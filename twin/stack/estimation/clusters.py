@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twin.geometry import Array, wrap_angle
+from twin.geometry import Array
 
 BIN_SIZE = (0.25, 0.25, float(np.radians(10.0)))  # m, m, rad; a whole turn is 36 bins
 
@@ -24,12 +24,32 @@ def heaviest(poses: Array, weights: Array) -> NDArray[np.bool_]:
 
 def mean_and_covariance(poses: Array, weights: Array) -> tuple[Array, Array]:
     """Weighted mean (3,), yaw as a direction, and covariance (3, 3)."""
-    share = weights / np.sum(weights)
-    mean = share @ poses
-    mean[2] = np.arctan2(share @ np.sin(poses[:, 2]), share @ np.cos(poses[:, 2]))
-    off = poses - mean
-    off[:, 2] = wrap_angle(off[:, 2])
-    return mean, (off * share[:, None]).T @ off
+    angles = poses[:, 2].astype(np.float32)
+    yaw = np.arctan2(weights @ np.sin(angles), weights @ np.cos(angles))
+    return _moments(poses, weights, float(yaw))
+
+
+@njit(cache=True)
+def _moments(poses, weights, yaw):
+    total, x, y = 0.0, 0.0, 0.0
+    for i in range(len(poses)):
+        total += weights[i]
+        x += weights[i] * poses[i, 0]
+        y += weights[i] * poses[i, 1]
+    mean = np.array([x / total, y / total, yaw])
+    xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(poses)):
+        w, dx, dy = weights[i], poses[i, 0] - mean[0], poses[i, 1] - mean[1]
+        turn = poses[i, 2] - mean[2]
+        if abs(turn) > np.pi:
+            turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
+        xx += w * dx * dx
+        xy += w * dx * dy
+        yy += w * dy * dy
+        xt += w * dx * turn
+        yt += w * dy * turn
+        tt += w * turn * turn
+    return mean, np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]) / total
 
 
 @njit(cache=True)

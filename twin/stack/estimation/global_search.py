@@ -15,8 +15,8 @@ from twin.stack.estimation.beam_model import BeamModel, ScanLikelihood
 from twin.stack.estimation.kld import low_variance
 from twin.stack.estimation.likelihood_field import LikelihoodField
 
-SIGMAS = (0.40, 0.20, 0.10)  # m, of a beam, level by level; not tuned
-INDEPENDENT = 12.0  # beams: flat enough to keep places that look alike
+SIGMAS = (0.80, 0.40, 0.20, 0.10)  # m, of a beam, level by level; not tuned
+INDEPENDENT = 8.0  # beams: flat enough to keep places that look alike
 SHAKE = 0.4  # of the level's sigma, in x and y
 SHAKE_TURN = 0.2  # rad per m of the level's sigma: the same shift on a wall some metres away
 

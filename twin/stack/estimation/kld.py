@@ -5,6 +5,7 @@ the distribution it stands for by a Kullback-Leibler distance of less than epsil
 grows with the number k of histogram bins that it fills.
 """
 
+import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -53,7 +54,7 @@ def bound(bins: int, epsilon: float, delta: float) -> float:
     """
     a = 2.0 / (9.0 * (bins - 1))
     z = NormalDist().inv_cdf(1.0 - delta)
-    return (bins - 1) / (2.0 * epsilon) * (1.0 - a + np.sqrt(a) * z) ** 3
+    return (bins - 1) / (2.0 * epsilon) * (1.0 - a + math.sqrt(a) * z) ** 3
 
 
 def low_variance(weights: Array, count: int, u: float) -> NDArray[np.int64]:
@@ -67,10 +68,7 @@ def low_variance(weights: Array, count: int, u: float) -> NDArray[np.int64]:
     Returns:
         Indices in rising order. Each comes floor or ceil of m times its share. Shape (m,).
     """
-    total = np.cumsum(weights)
-    return np.searchsorted(total, (u + np.arange(count)) * (total[-1] / count), side="right").clip(
-        0, len(weights) - 1
-    )
+    return _low_variance(np.ascontiguousarray(weights, dtype=np.float64), count, u)
 
 
 def count_bins(poses: Array, bin_size: tuple[float, float, float]) -> int:
@@ -87,10 +85,24 @@ def draw(poses: Array, weights: Array, kld: Kld, u: float) -> NDArray[np.int64]:
     n = kld.least
     while True:
         drawn = low_variance(weights, n, u)
-        wanted = kld.count(count_bins(poses[drawn], kld.bin_size))
+        wanted = kld.count(count_bins(np.take(poses, drawn, axis=0), kld.bin_size))
         if wanted <= n:
             return drawn
         n = wanted
+
+
+@njit(cache=True)
+def _low_variance(weights, count, u):
+    spacing = np.sum(weights) / count
+    drawn = np.empty(count, dtype=np.int64)
+    i, reached = 0, weights[0]
+    for m in range(count):
+        pointer = (u + m) * spacing
+        while pointer >= reached and i < len(weights) - 1:
+            i += 1
+            reached += weights[i]
+        drawn[m] = i
+    return drawn
 
 
 @njit(cache=True)

@@ -1,9 +1,9 @@
 """What a floor tag does to the estimated pose.
 
 Xu et al., section 3: where the pose by tag differs from the predicted one by more than a threshold
-tau, it replaces it and sampling goes on from there; below, the two are fused. A tag may lie: a wrong
-code, a tag printed for another place, one stuck down askew. So a tag must be in the survey and say
-so itself, and one that contradicts the estimate must fit the lidar's last scan.
+tau, it replaces it and sampling goes on from there; below, the two are fused. A tag may lie: a
+wrong code, one printed for another place, one stuck down askew. So a tag must be in the survey and
+say so itself, and one that contradicts the estimate must fit the lidar's last scan.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ class TagPolicy:
     tau_yaw: float = float(np.radians(5.0))
     survey: float = 0.005
     survey_yaw: float = float(np.radians(0.5))
-    consent: float = 0.9
+    consent: float = 0.8
     forget: float = 5.0
 
 

@@ -1,8 +1,8 @@
 """Following a wall or a rack by a straight line through scan points.
 
 Base frame: x forward, y left. The line is y = a0 + a1 x (Xu et al., Eq. 3), and theta = atan a1 is
-the turn that makes the vehicle parallel to it. The source's sign is that of an axis to the right; in
-base a positive slope asks for a turn to the left.
+the turn that makes the vehicle parallel to it. The source's sign is that of an axis to the right;
+in base a positive slope asks for a turn to the left.
 """
 
 from dataclasses import dataclass
