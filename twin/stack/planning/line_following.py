@@ -17,6 +17,8 @@ MIN_LENGTH = 0.20  # m of line that points must span
 TRIM = 3.0  # times the median distance beyond which a point is no part of the line
 FLOOR = 0.01  # m: range noise, below which nothing is trimmed
 ROUNDS = 5
+PAIRS = 60  # of points through which a first line is tried: with half of the points on the line,
+# the chance that no pair is on it is 0.75^60
 
 
 @dataclass(frozen=True)
@@ -86,24 +88,48 @@ def total_least_squares(points: Array) -> LineFit | None:
 def fit_line(points: Array) -> LineFit | None:
     """Line through most of the points: what lies off it is trimmed, round by round.
 
-    None if too few points are left or they span too short a piece. Shape (n, 2).
+    It starts from the pair of points to whose line the others are nearest in the median (least
+    median of squares, Rousseeuw 1984): a mean of all would be drawn to a niche and stay there.
+
+    Returns None if too few points are left or they span too short a piece. Shape (n, 2).
     """
     points = _finite(points)
-    kept, line = points, None
+    off = _nearest_pair(points) if len(points) >= MIN_POINTS else None
+    line = None
+    kept = np.zeros(0, dtype=bool)
     for _ in range(ROUNDS):
-        line = total_least_squares(kept) if len(kept) >= MIN_POINTS else None
-        if line is None:
+        if off is None:
             return None
-        normal = np.array([-np.sin(line.angle), np.cos(line.angle)])
-        off = np.abs(points @ normal - line.distance)
-        limit = max(TRIM * float(np.median(off)), FLOOR)
-        inside = points[off <= limit]
-        if len(inside) == len(kept):
+        inside = off <= max(TRIM * float(np.median(off)), FLOOR)
+        if np.array_equal(inside, kept):
             break
         kept = inside
-    assert line is not None
-    along = kept @ (np.cos(line.angle), np.sin(line.angle))
+        line = total_least_squares(points[kept]) if np.sum(kept) >= MIN_POINTS else None
+        off = None if line is None else np.abs(_off(points, line.angle, line.distance))
+    if line is None:
+        return None
+    along = points[kept] @ (np.cos(line.angle), np.sin(line.angle))
     return line if np.ptp(along) >= MIN_LENGTH else None
+
+
+def _nearest_pair(points: Array) -> Array | None:
+    """Distances of points (n, 2) from the line through the best pair of them. Shape (n,)."""
+    n, k = len(points), np.arange(1, PAIRS + 1)
+    # Multiples of irrational numbers, evenly spread and the same every time.
+    i, j = (n * ((k * 0.6180339887) % 1)).astype(int), (n * ((k * 0.4142135624) % 1)).astype(int)
+    along = points[j] - points[i]
+    length = np.hypot(along[:, 0], along[:, 1])
+    good = length > MIN_LENGTH
+    if not good.any():
+        return None
+    i, along = i[good], along[good] / length[good, None]
+    rest = points - points[i][:, None]  # (pairs, n, 2)
+    off = np.abs(along[:, None, 0] * rest[..., 1] - along[:, None, 1] * rest[..., 0])
+    return off[np.argmin(np.median(off, axis=1))]
+
+
+def _off(points: Array, angle: float, distance: float) -> Array:
+    return points @ np.array([-np.sin(angle), np.cos(angle)]) - distance
 
 
 def steering_angle(line: LineFit) -> float:
