@@ -1,4 +1,4 @@
-"""AMCL's full update against the same update in plain NumPy, and the time to read a floor tag.
+"""AMCL's full update against the same update in plain NumPy.
 
     python -m evaluation.benchmarks.localisation [--repeats 30]
 

@@ -147,8 +147,7 @@ class Amcl:
         if rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
             return None
         self._odometry, self._scan = odometry, (p_base, silent)
-        normals = self._rng.standard_normal(self.particles.shape, dtype=np.float32)
-        self.particles = s.motion(self.particles, step, s.noise, normals)
+        self.particles = s.motion(self.particles, step, s.noise, self._normals())
         self._weigh(p_base, silent)
         self._redraw(p_base, silent)
         self._estimate()
@@ -187,6 +186,12 @@ class Amcl:
     def effective(self) -> float:
         """Effective number of particles, 1 / sum of squared weights."""
         return float(1.0 / np.sum(self.weights**2))
+
+    def _normals(self) -> NDArray[np.float32]:
+        """Noise of a step. The second half mirrors the first: half the draws, and no bias."""
+        n = len(self.particles)
+        half = self._rng.standard_normal(((n + 1) // 2, 3), dtype=np.float32)
+        return np.concatenate([half, -half[: n // 2]])
 
     def _set(self, particles: Array) -> None:
         self.particles = np.ascontiguousarray(particles)

@@ -16,10 +16,7 @@ BIN_SIZE = (0.25, 0.25, float(np.radians(10.0)))  # m, m, rad; a whole turn is 3
 def heaviest(poses: Array, weights: Array) -> NDArray[np.bool_]:
     """Which of the poses (n, 3) belong to the heaviest cluster. Shape (n,)."""
     turn_bins = round(2 * np.pi / BIN_SIZE[2])
-    keys, rows = _keys(poses, BIN_SIZE, turn_bins)
-    bins, bin_of = np.unique(keys, return_inverse=True)
-    cluster = _label(bins, rows, turn_bins)[bin_of]
-    return cluster == np.argmax(np.bincount(cluster, weights=weights))
+    return _heaviest(poses, weights, BIN_SIZE, turn_bins)
 
 
 def mean_and_covariance(poses: Array, weights: Array) -> tuple[Array, Array]:
@@ -70,25 +67,54 @@ def _keys(poses, bin_size, turn_bins):
 
 
 @njit(cache=True)
-def _label(bins, rows, turn_bins):
-    """Cluster of each bin: flood fill among sorted bins that touch, yaw going round."""
-    label = np.full(len(bins), -1, dtype=np.int64)
-    stack = np.empty(len(bins), dtype=np.int64)
-    clusters = 0
-    for seed in range(len(bins)):
+def _heaviest(poses, weights, bin_size, turn_bins):
+    """Bins numbered by a hash table, filled bins that touch flooded, yaw going round."""
+    keys, rows = _keys(poses, bin_size, turn_bins)
+    size = 16
+    while size < 2 * len(keys):
+        size *= 2
+    table = np.full(size, -1, dtype=np.int64)  # number of the bin in each slot
+    bins = np.empty(len(keys), dtype=np.int64)  # key of each bin
+    weight = np.zeros(len(keys))
+    bin_of = np.empty(len(keys), dtype=np.int64)
+    filled = 0
+    for i in range(len(keys)):
+        slot = _slot(table, bins, keys[i])
+        if table[slot] < 0:
+            table[slot], bins[filled] = filled, keys[i]
+            filled += 1
+        bin_of[i] = table[slot]
+        weight[bin_of[i]] += weights[i]
+    label = np.full(filled, -1, dtype=np.int64)
+    stack = np.empty(filled, dtype=np.int64)
+    best, best_weight = 0, -1.0
+    for seed in range(filled):
         if label[seed] >= 0:
             continue
-        label[seed], stack[0], filled = clusters, seed, 1
-        while filled:
-            filled -= 1
-            place, turn = divmod(bins[stack[filled]], turn_bins)
+        label[seed], stack[0], waiting, total = seed, seed, 1, 0.0
+        while waiting:
+            waiting -= 1
+            at = stack[waiting]
+            total += weight[at]
+            place, turn = divmod(bins[at], turn_bins)
             for dx in range(-1, 2):
                 for dy in range(-1, 2):
                     for dt in range(-1, 2):
                         key = (place + dx * rows + dy) * turn_bins + (turn + dt) % turn_bins
-                        at = np.searchsorted(bins, key)
-                        if at < len(bins) and bins[at] == key and label[at] < 0:
-                            label[at], stack[filled] = clusters, at
-                            filled += 1
-        clusters += 1
-    return label
+                        near = table[_slot(table, bins, key)]
+                        if near >= 0 and label[near] < 0:
+                            label[near], stack[waiting] = seed, near
+                            waiting += 1
+        if total > best_weight:
+            best, best_weight = seed, total
+    return label[bin_of] == best
+
+
+@njit(cache=True)
+def _slot(table, bins, key):
+    """Slot of the hash table that holds a bin's key, or the free one where it belongs."""
+    mask = len(table) - 1
+    slot = (key ^ (key >> 15) * 0x9E3779B1) & mask
+    while table[slot] >= 0 and bins[table[slot]] != key:
+        slot = (slot + 1) & mask
+    return slot
