@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from twin.geometry import compose2, rectangle, rot2
@@ -171,8 +171,8 @@ def test_what_crosses_the_way_is_met_where_it_will_be():
     assert met < 0 < min(room(p[:3], BODY, still) for p in times)
 
 
-def check(trajectory, obstacles, velocity, need=0.04):
-    """Every limit and the room, worked out anew from the poses alone."""
+def check(trajectory, obstacles, velocity, need=0.04, elapsed=0.0):
+    """Every limit and, from `elapsed` on, the room, worked out anew from the poses alone."""
     nodes, dt = trajectory.nodes, trajectory.dt
     assert (dt > 0).all() and nodes[0, 3] == 0.0
     most = np.array([DRIVE.speed, DRIVE.strafe_speed, DRIVE.turn_rate])
@@ -193,14 +193,15 @@ def check(trajectory, obstacles, velocity, need=0.04):
     share = np.hypot(*acceleration[:, :2].T) / DRIVE.acceleration
     share += np.abs(acceleration[:, 2]) / DRIVE.turn_acceleration
     assert share.max() <= 1 + 1e-4
-    for t in np.arange(0.0, trajectory.duration, 0.05):
+    for t in np.arange(elapsed, trajectory.duration, 0.05):
         pose, twist = trajectory.at(trajectory.began + t)
         assert (np.abs(twist) / most).sum() <= max(1.0, (np.abs(velocity) / most).sum()) + 1e-4
-        assert room(pose, BODY, obstacles, t) >= need - 1e-3
+        assert room(pose, BODY, obstacles, t - elapsed) >= need - 1e-3
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 12), st.booleans())
+@example(6184, 10, True)  # keeps its trajectory while an obstacle moves on
 def test_never_violates_a_limit_or_the_footprint(seed, count, at_speed):
     rng = np.random.default_rng(seed)
     places = np.column_stack([rng.uniform(1.0, 4.0, count), rng.uniform(-2, 2, count)])
@@ -211,12 +212,16 @@ def test_never_violates_a_limit_or_the_footprint(seed, count, at_speed):
     velocity = np.array([rng.uniform(0, 0.9), 0.0, 0.0]) if at_speed else REST
     path = np.array([[0.0, 0.0], [2.5, rng.uniform(-1, 1)], [rng.uniform(4, 8), 0.0]])
     teb = Teb(DRIVE)
-    plan = teb.plan(10.0, REST, velocity, path, rng.uniform(-3, 3), obstacles)
+    now = 10.0
+    plan = teb.plan(now, REST, velocity, path, rng.uniform(-3, 3), obstacles)
     for cycle in range(1, 4):
         if plan.trajectory is None:
             assert plan.reason and "\n" not in plan.reason
             return
-        check(plan.trajectory, obstacles, velocity, need=least(plan.trajectory, obstacles))
+        elapsed = now - plan.trajectory.began  # above 0 where the last trajectory was kept
+        need = least(plan.trajectory, obstacles, elapsed)
+        began_at = plan.trajectory.velocity
+        check(plan.trajectory, obstacles, began_at, need=need, elapsed=elapsed)
         now = 10.0 + 0.1 * cycle
         pose, velocity = plan.trajectory.at(now)
         obstacles = obstacles.copy()
@@ -225,9 +230,9 @@ def test_never_violates_a_limit_or_the_footprint(seed, count, at_speed):
         plan = teb.plan(now, pose, velocity, path, 0.0, obstacles)
 
 
-def least(trajectory, obstacles):
+def least(trajectory, obstacles, elapsed=0.0):
     """Room that may be asked for: what the ends leave, 90 per cent of it."""
-    ends = [(trajectory.nodes[0], obstacles)]
+    ends = [(trajectory.at(trajectory.began + elapsed)[0], obstacles)]
     ends.append((trajectory.nodes[-1], obstacles[~obstacles[:, 5:].any(axis=1)]))
     return min([TebOptions().room, *(0.9 * room(p[:3], BODY, o) for p, o in ends)])
 
