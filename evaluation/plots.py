@@ -8,7 +8,7 @@ from matplotlib.patches import Polygon
 
 from evaluation.ape import pose_errors
 from twin.geometry import rectangle
-from twin.layout import Site
+from twin.site import Site
 from twin.recording.tum import read_tum
 
 LABELS = {"truth": "true", "estimate": "fused estimate", "odometry": "wheels alone"}

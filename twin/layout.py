@@ -1,23 +1,18 @@
 """What stands where. A layout file has three parts: `site`, `world` and `options`.
 
-`Site` is the surveyed drawing: the stack may know it. `World` is everything else about the plant
-(belt speed, what is fed, tolerances): the stack never sees it. `Options` choose how the stack
-works.
+`Site` (`twin.site`) is the surveyed drawing: the stack may know it. `World` is everything else
+about the plant (belt speed, what is fed, tolerances, faults): the stack never sees it. `Options`
+choose how the stack works.
 """
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from twin.floor_plan import check_floor_plan
 from twin.messages import PART_CLASSES, PartClass
-
-Coordinate = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # m
-Angle = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]  # rad
-Pose2 = tuple[Coordinate, Coordinate, Angle]  # x, y, yaw
-Interval = tuple[Coordinate, Coordinate]
+from twin.site import Interval, Name, Pose2, Position2, Site, Strict
 
 TRAY_SLOTS, ONE_ARM_SLOTS = 28, 26  # parts that the tray takes, and that one arm alone can place
 
@@ -26,71 +21,95 @@ class LayoutError(ValueError):
     """A layout that cannot be built. The message is one line."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Line(_Model):
-    """The belt as drawn."""
-
-    origin: tuple[Coordinate, Coordinate]
-    direction: Angle
-    length: Annotated[float, Field(ge=1.5, le=4.0)]
-    width: Annotated[float, Field(ge=0.12, le=0.30)]
-    height: Annotated[float, Field(ge=0.66, le=0.74)]
-
-
-class Hall(_Model):
-    x: Interval
-    y: Interval
-
-
-class Site(_Model):
-    """The surveyed drawing, known to plant and stack."""
-
-    dock: Pose2
-    pick: Pose2
-    receiving: Pose2
-    route_to_pick: tuple[Pose2, ...]
-    route_to_receiving: tuple[Pose2, ...]
-    line: Line
-    hall: Hall
-
-    @model_validator(mode="after")
-    def _can_be_built(self):
-        check_floor_plan(self)
-        return self
-
-
-class LineWorld(_Model):
+class LineWorld(Strict):
     speed: Annotated[float, Field(ge=0.05, le=0.5)]
     friction: Annotated[float, Field(gt=0.1, le=2.0)] = 0.9
 
 
-class Feeder(_Model):
+class Feeder(Strict):
     rate: Annotated[float, Field(gt=0, le=3.0)]
     min_spacing: Annotated[float, Field(ge=0.08, le=1.0)]
     lateral: Annotated[float, Field(ge=0.0, le=0.08)]
 
 
-class Tolerances(_Model):
+class Tolerances(Strict):
+    """Of what was built, against the drawing; 0 = exactly the drawing."""
+
     scale: Annotated[float, Field(ge=0.0, le=5.0)] = 1.0
     dock_xy: Annotated[float, Field(ge=0.0, le=0.1)] = 0.010
     dock_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3
+    rack_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.004  # 1 sigma, m
+    tag_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.002  # 1 sigma, m
+    tag_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # 1 sigma
 
 
-class Sensors(_Model):
+class Sensors(Strict):
     latency_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     noise_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
 
 
-class World(_Model):
+class Obstacle(Strict):
+    """Something that stands on the floor and is not in the drawing.
+
+    Lidar and depth camera each miss some: a low box lies under the lidar's plane, a table's top
+    above it, a black panel throws its light back too weakly, a glass panel not at all.
+    """
+
+    kind: Literal["carton", "pillar", "low_box", "table", "black_panel", "glass_panel"]
+    pose: Pose2
+    appears: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0  # s; 0: there from the start
+    near: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0  # m: appears when the vehicle is so near
+
+
+class Mover(Strict):
+    """A cart that goes to and fro along a path, whoever stands in its way."""
+
+    path: Annotated[tuple[Position2, ...], Field(min_length=2, max_length=50)]
+    speed: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5
+    starts: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
+
+
+class WetPatch(Strict):
+    """A rectangle of the floor on which wheels slip."""
+
+    x: Interval
+    y: Interval
+    friction: Annotated[float, Field(ge=0.005, le=1.0)] = 0.04
+
+
+class TagFault(Strict):
+    """A floor tag that is stuck down elsewhere, torn, or printed for another place."""
+
+    tag: Name
+    kind: Literal["misplaced", "damaged", "foreign"]
+    shift: Pose2 = (0.0, 0.0, 0.0)  # of a misplaced one, in its own axes
+
+
+class Kidnap(Strict):
+    """The vehicle is carried to another place while it stands or drives."""
+
+    at: Annotated[float, Field(gt=0.0, le=3600.0)]  # s
+    pose: Pose2
+
+
+class Faults(Strict):
+    """What goes wrong, and where: only the plant knows."""
+
+    obstacles: tuple[Obstacle, ...] = ()
+    movers: tuple[Mover, ...] = ()
+    wet: tuple[WetPatch, ...] = ()
+    tags: tuple[TagFault, ...] = ()
+    kidnaps: tuple[Kidnap, ...] = ()
+
+
+class World(Strict):
     """What only the plant knows."""
 
     line: LineWorld
     feeder: Feeder
     tolerances: Tolerances = Tolerances()
     sensors: Sensors = Sensors()
+    faults: Faults = Faults()
     order: dict[PartClass, Annotated[int, Field(ge=0, le=20)]]
 
     @model_validator(mode="after")
@@ -101,14 +120,16 @@ class World(_Model):
         return self
 
 
-class Options(_Model):
+class Options(Strict):
     """How the stack is to work."""
 
     grasp_timing: bool = True
     arms: Annotated[int, Field(ge=1, le=2)] = 2
+    tags: bool = True  # floor tags correct the pose
+    map: str | None = None  # map file (YAML) to drive by; without one the drawing is the map
 
 
-class Layout(_Model):
+class Layout(Strict):
     site: Site
     world: World
     options: Options = Options()
@@ -118,6 +139,14 @@ class Layout(_Model):
         total = sum(self.world.order.values())
         if self.options.arms == 1 and total > ONE_ARM_SLOTS:
             raise ValueError(f"world.order: {total} parts; one arm alone can place {ONE_ARM_SLOTS}")
+        return self
+
+    @model_validator(mode="after")
+    def _faults_name_what_there_is(self):
+        known = [tag.name for tag in self.site.tags]
+        for fault in self.world.faults.tags:
+            if fault.tag not in known:
+                raise ValueError(f"world.faults.tags: no tag '{fault.tag}' in the drawing")
         return self
 
     @model_validator(mode="after")

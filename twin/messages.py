@@ -83,6 +83,14 @@ class CameraFrame:
 
 
 @dataclass(frozen=True)
+class FloorFrame:
+    """Camera in the vehicle's floor that looks for tags."""
+
+    stamp: float
+    image: NDArray[np.uint8]  # (h, w) grey
+
+
+@dataclass(frozen=True)
 class ArmReading:
     """Joint encoders of one arm."""
 
@@ -110,15 +118,50 @@ class Order:
     items: tuple[tuple[PartClass, int], ...]
 
 
+@dataclass(frozen=True)
+class Goal:
+    """A pose to drive to, under a name for the report."""
+
+    name: str
+    pose: tuple[float, float, float]  # x, y, yaw in world
+
+
+@dataclass(frozen=True)
+class DriveOrder:
+    """Drive to one goal after the other; one that cannot be reached is given up."""
+
+    stamp: float
+    goals: tuple[Goal, ...]
+
+
+@dataclass(frozen=True)
+class MapOrder:
+    """Draw a map while driving to one goal after the other; there is none to drive by yet."""
+
+    stamp: float
+    goals: tuple[Goal, ...]
+
+
+@dataclass(frozen=True)
+class TransportOrder:
+    """Fetch what lies at goods-in and bring it to the rack that its code names."""
+
+    stamp: float
+
+
 Reading = (
     WheelState
     | ImuReading
     | LidarScan
     | RgbdFrame
     | CameraFrame
+    | FloorFrame
     | ArmReading
     | GripperReading
     | Order
+    | DriveOrder
+    | MapOrder
+    | TransportOrder
 )
 
 
@@ -195,13 +238,35 @@ class TrackedPart:
 
 
 @dataclass(frozen=True)
+class TagSight:
+    """A floor tag that was read, and what became of it."""
+
+    stamp: float  # of exposure
+    tag: str
+    action: str  # reset, fused or refused
+    pose: Float  # (3,) x, y, yaw of the vehicle in world at the exposure, as believed afterwards
+
+
+@dataclass(frozen=True)
+class NavigationState:
+    """What the navigator is about."""
+
+    goal: str = ""  # name of the goal under way
+    outcomes: tuple[tuple[str, str], ...] = ()  # of the goals so far: name, "reached" or why not
+    path: Float = field(default_factory=lambda: np.zeros((0, 2)))  # global way in world, m
+    trajectory: Float = field(default_factory=lambda: np.zeros((0, 3)))  # poses ahead in world
+    recovery: str = ""  # stage under way
+
+
+@dataclass(frozen=True)
 class StackState:
     """Snapshot of the stack's opinion after a tick. Nothing reads it back into the loop."""
 
     stamp: float
-    pose: Float  # (3,) fused x, y, yaw in world
+    pose: Float  # (3,) localised x, y, yaw in world
     pose_covariance: Float  # (3, 3)
     odometry_pose: Float  # (3,) wheels alone
+    fused_pose: Float  # (3,) wheels and inertial unit, without map and tags
     velocity: Float  # (3,) in base
     task: str  # name of the running behaviour
     tracks: tuple[TrackedPart, ...] = ()
@@ -209,4 +274,8 @@ class StackState:
     detections_stamp: float = -1.0
     events: tuple[str, ...] = ()  # one line each, new in this tick
     distance_to_pick: float = float("nan")  # S, m
+    particles: int = 0
+    lost: bool = False  # the scan does not fit where the vehicle is believed to be
+    sights: tuple[TagSight, ...] = ()  # new in this tick
+    navigation: NavigationState = NavigationState()
     goals: dict[str, float] = field(default_factory=dict)  # scalars worth plotting

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 
 from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transform
-from twin.layout import Layout, Line, Pose2, models_dir
+from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
 from twin.plant.hall import FLOOR, STANDING, hall
 from twin.plant.model_files import load_model
+from twin.site import Line, Pose2
 
 VEHICLE, ARM, PART = 4, 8, 16  # bits of the collision masks, beside FLOOR and STANDING
 SPARE = 5  # parts of each class in the feeder's store beyond those that are ordered

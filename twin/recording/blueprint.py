@@ -2,7 +2,7 @@
 
 import rerun.blueprint as rrb
 
-from twin.layout import Site
+from twin.site import Site
 
 
 def blueprint(site: Site) -> rrb.Blueprint:

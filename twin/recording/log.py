@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from twin.layout import Options, Site
+from twin.layout import Options
 from twin.messages import Commands, Reading
 from twin.recording.codec import decode, encode
+from twin.site import Site
 
 if TYPE_CHECKING:  # the loop brings the plant with it, which a replay does not have
     from twin.loop import Tick

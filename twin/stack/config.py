@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from twin.geometry import Array, look_at, rot_z, transform
-from twin.layout import Options, Site, models_dir
+from twin.layout import Options, models_dir
 from twin.messages import PartClass
+from twin.site import Site
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,12 @@ class StackConfig:
             424, 240, 58.0, look_at((0.335, 0.0, 0.62), (1.335, 0.0, 0.62))
         )
     )
+    tag_camera: Camera = field(  # looks straight down through a well; image up is forward
+        default_factory=lambda: Camera(
+            640, 480, 40.0, look_at((0.0, 0.0, 0.30), (0.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
+        )
+    )
+    tag_side: float = 0.100  # outer edge of a floor tag's code, quiet zone left out, m
     parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
     line_hood: float = 0.30  # m from the belt's upstream end to the front of the feeder's hood
     odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock

@@ -98,7 +98,7 @@ class Stack:
 
     def _mission(self):
         site = self.config.site
-        to_line, to_receiving = (*site.route_to_pick, site.pick), site.route_to_receiving
+        to_line, to_receiving = (site.pick_approach, site.pick), (site.pick_leave,)
         return sequence(
             "order",
             together(
@@ -170,6 +170,7 @@ class Stack:
             pose=self._pose,
             pose_covariance=self.fused.covariance,
             odometry_pose=self.odometry.pose,
+            fused_pose=self._pose,
             velocity=self.fused.velocity,
             task=running(self._tree),
             tracks=parts,

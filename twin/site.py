@@ -1,0 +1,76 @@
+"""The surveyed drawing of the plant: what stands where. Plant and stack both know it.
+
+Poses are x, y, yaw in world (x east, y north), metres and radians. Sizes of machines stand in
+`twin.floor_plan`.
+"""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from twin.floor_plan import check_floor_plan
+
+Coordinate = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # m
+Angle = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]  # rad
+Position2 = tuple[Coordinate, Coordinate]
+Pose2 = tuple[Coordinate, Coordinate, Angle]  # x, y, yaw
+Segment = tuple[Coordinate, Coordinate, Coordinate, Coordinate]  # x0, y0, x1, y1
+Interval = tuple[Coordinate, Coordinate]
+Name = Annotated[str, Field(pattern="^[A-Z0-9]{1,8}$")]
+
+
+class Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Line(Strict):
+    """The belt as drawn."""
+
+    origin: Position2
+    direction: Angle
+    length: Annotated[float, Field(ge=1.5, le=4.0)]
+    width: Annotated[float, Field(ge=0.12, le=0.30)]
+    height: Annotated[float, Field(ge=0.66, le=0.74)]
+
+
+class Hall(Strict):
+    """Inner faces of the outer walls, and partitions inside."""
+
+    x: Interval
+    y: Interval
+    partitions: tuple[Segment, ...] = ()
+
+
+class Rack(Strict):
+    """A rack of the warehouse: a number on its goods' codes, and the pose of its middle."""
+
+    number: Annotated[int, Field(ge=1, le=999)]
+    pose: Pose2
+
+
+class Tag(Strict):
+    """A floor tag: the name in its code, its pose, and the tags that can be driven to from it."""
+
+    name: Name
+    pose: Pose2
+    next: tuple[Name, ...] = ()
+
+
+class Site(Strict):
+    """The surveyed drawing, known to plant and stack."""
+
+    dock: Pose2
+    pick: Pose2
+    pick_approach: Pose2  # from here straight in to `pick`
+    pick_leave: Pose2  # and straight out to here
+    receiving: Pose2
+    goods_in: Pose2 | None = None  # where the vehicle stands at the goods-in stand, on its left
+    line: Line
+    hall: Hall
+    racks: tuple[Rack, ...] = ()
+    tags: tuple[Tag, ...] = ()
+
+    @model_validator(mode="after")
+    def _can_be_built(self):
+        check_floor_plan(self)
+        return self
