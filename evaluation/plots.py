@@ -11,7 +11,7 @@ from twin.geometry import rectangle
 from twin.site import Site
 from twin.recording.tum import read_tum
 
-LABELS = {"truth": "true", "estimate": "fused estimate", "odometry": "wheels alone"}
+LABELS = {"truth": "true", "estimate": "localised", "fused": "fused odometry", "odometry": "wheels alone"}
 
 
 def plot_paths(axes: Axes, folder: Path, site: Site | None = None) -> None:

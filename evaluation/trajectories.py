@@ -1,10 +1,11 @@
-"""True, fused and wheel-only paths of a run."""
+"""Paths of a run: true, localised, fused odometry, wheels alone."""
 
 import numpy as np
 
 from evaluation.run import Trajectory
 from twin.loop import Tick
 
+NAMES = ("truth", "estimate", "fused", "odometry")
 MOVING = 0.02  # m/s or rad/s of the true velocity: faster than this the vehicle moves
 
 
@@ -13,13 +14,14 @@ class TrajectoryMonitor:
 
     def __init__(self):
         self._stamps: list[float] = []
-        self._poses: dict[str, list] = {"truth": [], "estimate": [], "odometry": []}
+        self._poses: dict[str, list] = {n: [] for n in NAMES}
         self._moving: list[bool] = []
 
     def observe(self, tick: Tick) -> None:
         self._stamps.append(tick.stamp)
         self._poses["truth"].append(tick.truth.pose)
         self._poses["estimate"].append(tick.state.pose)
+        self._poses["fused"].append(tick.state.fused_pose)
         self._poses["odometry"].append(tick.state.odometry_pose)
         self._moving.append(bool(np.any(np.abs(tick.truth.velocity) > MOVING)))
 

@@ -36,6 +36,7 @@ class BeltStudio:
         self.world = World(self.layout, as_built, pool=2)
         self.worker = RenderWorker(self.world.model)
         self.camera = MastCamera(self.worker, self._rng)
+        self.camera.on = True
 
     def close(self) -> None:
         self.worker.close()

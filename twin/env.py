@@ -143,7 +143,7 @@ class CellEnv(dm_env.Environment):
         force = self.config.gripper.force
         hands = [GripperCommand(i, float(w), force) for i, w in enumerate(action["gripper_width"])]
         velocity = BodyVelocity(*map(float, action["body_velocity"]))
-        plant.apply(Commands(velocity, tuple(arms), tuple(hands)))
+        plant.apply(Commands(velocity, tuple(arms), tuple(hands), mast_camera=True))
         wheels = None
         for _ in range(STEPS_PER_TICK):
             pwm, wheels = self._unit.step(plant.encoder_counts(), velocity)

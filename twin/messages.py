@@ -206,6 +206,7 @@ class Commands:
     body_velocity: BodyVelocity = BodyVelocity()
     arms: tuple[ArmCommand, ...] = ()
     grippers: tuple[GripperCommand, ...] = ()
+    mast_camera: bool = False  # whether the mast camera is to take pictures
 
 
 # --- what the stack believes, for recording and evaluation only ----------------------------------

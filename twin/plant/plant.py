@@ -60,13 +60,14 @@ class Plant:
         self._grippers = [GripperDrive(model, f"arm{i}/") for i in range(2)]
         self.renderer = RenderWorker(model)
         k = layout.world.sensors.noise_scale
+        self._mast_camera = MastCamera(self.renderer, noise[3], k)
         self.sensors = (
             OrderDesk(layout.world.order),
             ImuSensor(model, noise[0], k),
             *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
             *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
             LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
-            MastCamera(self.renderer, noise[3], k),
+            self._mast_camera,
             RgbdCamera(self.renderer, noise[4], k),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
@@ -104,7 +105,8 @@ class Plant:
         return self._encoders.counts(self.world.data)
 
     def apply(self, commands: Commands) -> None:
-        """Hand the set-points of arms and grippers to their drives."""
+        """Hand the set-points of arms and grippers to their drives, and switch the camera."""
+        self._mast_camera.on = commands.mast_camera
         for command in commands.arms:
             self._arms[command.arm].command(command)
         for command in commands.grippers:

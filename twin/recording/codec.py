@@ -75,4 +75,5 @@ def _unpack(tree: Any, payload: memoryview) -> Any:
 
 def _is_picture(array: np.ndarray) -> bool:
     colour = array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3
-    return array.size > 0 and (colour or (array.dtype == np.uint16 and array.ndim == 2))
+    plane = array.dtype in (np.uint8, np.uint16) and array.ndim == 2
+    return array.size > 0 and (colour or plane)

@@ -76,7 +76,7 @@ class Stack:
         self.picker.step(stamp, self._pose, parts)
         arms, grippers = zip(*(w.step(stamp) for w in self.arms), strict=True)
         self.state = self._snapshot(parts)
-        return Commands(body_velocity, arms, grippers)
+        return Commands(body_velocity, arms, grippers, mast_camera=True)
 
     def _hear(self, reading: Reading) -> None:
         if isinstance(reading, WheelState):

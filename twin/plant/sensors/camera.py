@@ -47,6 +47,7 @@ class MastCamera:
         camera: str = "agv/mast_camera",
     ):
         self._worker, self._rng = worker, rng
+        self.on = False  # pictures are taken only while the stack asks for them
         self._view = View(camera, WIDTH, HEIGHT, GROUPS)
         self._bank = rng.standard_normal(BANK, dtype=np.float32)
         grey = np.arange(256, dtype=np.float32)
@@ -58,8 +59,10 @@ class MastCamera:
         fall_off = 1.0 - CORNER_LOSS * radius2 / radius2.max()
         self._fall_off = np.repeat(fall_off[:, :, None], 3, axis=2).astype(np.float32)
 
-    def sample(self, stamp: float, model, data) -> Future[CameraFrame]:
-        """Expose now; the picture comes from the worker."""
+    def sample(self, stamp: float, model, data) -> Future[CameraFrame] | None:
+        """Expose now; the picture comes from the worker. None while it is off."""
+        if not self.on:
+            return None
         offset = int(self._rng.integers(BANK - WIDTH * HEIGHT * 3))
         return self._worker.submit(data, self._view, lambda rgb: self._read_out(stamp, rgb, offset))
 

@@ -20,8 +20,8 @@ class Sensor(Protocol):
     period: float
     latency: float
 
-    def sample(self, stamp: float, model: Any, data: Any) -> Reading | Future[Any]:
-        """Expose now. Reads truth, draws its own noise."""
+    def sample(self, stamp: float, model: Any, data: Any) -> Reading | Future[Any] | None:
+        """Expose now. Reads truth, draws its own noise. None if it is switched off."""
         ...
 
 
@@ -49,8 +49,10 @@ class SensorSuite:
             if stamp < self._exposures[index] * sensor.period - EPSILON:
                 continue
             self._exposures[index] += 1
-            arrival = stamp + sensor.latency * self._latency_scale
-            self._pending.append((arrival, index, sensor.sample(stamp, model, data)))
+            reading = sensor.sample(stamp, model, data)
+            if reading is not None:
+                arrival = stamp + sensor.latency * self._latency_scale
+                self._pending.append((arrival, index, reading))
 
     def arrived(self, now: float) -> tuple[Reading, ...]:
         """Readings whose arrival time has passed, by arrival, then by order of the sensors."""
