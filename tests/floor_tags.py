@@ -7,7 +7,7 @@ import segno
 from twin.geometry import Array, inverse, look_at, pose2_to_transform
 from twin.stack.config import Camera
 from twin.stack.detection.qr import TagDrawing
-from twin.stack.detection.tag_text import TagText, format_tag
+from twin.tag_text import TagText, format_tag
 
 DRAWING = TagDrawing()
 # 0.25 m up at the vehicle's tail, looking down; x of the picture to the vehicle's right.

@@ -13,7 +13,7 @@ from twin.messages import CameraFrame
 from twin.stack.config import Camera
 from twin.stack.detection.finder_patterns import drawn_centres, finder_centres
 from twin.stack.detection.qr import TagReader, heading_error, tag_pose_in_base, to_floor
-from twin.stack.detection.tag_text import TagText, format_tag, parse_tag
+from twin.tag_text import TagText, format_tag, parse_tag
 
 ids = st.from_regex(r"[A-Z0-9]{1,8}", fullmatch=True)
 

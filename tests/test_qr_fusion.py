@@ -8,9 +8,9 @@ from localisation_world import MOUNT, drive, free_cells, odometry_of, scan_at, w
 
 from twin.geometry import between2, compose2
 from twin.stack.detection.qr import TagFix
-from twin.stack.detection.tag_text import TagText
 from twin.stack.estimation.amcl import Amcl
 from twin.stack.estimation.qr_fusion import QrFusion, TagPolicy
+from twin.tag_text import TagText
 
 TAGS = {"A1": (3.0, 1.0, 0.0), "B2": (6.0, 1.0, np.pi / 2)}
 SIGHT = np.diag([0.004, 0.004, 0.006]) ** 2

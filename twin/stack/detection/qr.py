@@ -17,7 +17,7 @@ from twin.geometry import Array, compose2, rot2, wrap_angle
 from twin.messages import CameraFrame
 from twin.stack.config import Camera
 from twin.stack.detection.finder_patterns import drawn_centres, finder_centres
-from twin.stack.detection.tag_text import TagText, parse_tag
+from twin.tag_text import TagText, parse_tag
 
 CODES = zxingcpp.BarcodeFormats([zxingcpp.BarcodeFormat.QRCode])
 

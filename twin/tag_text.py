@@ -5,7 +5,7 @@
 Version, id, x and y in millimetres, yaw in hundredths of a degree, nodes that can be reached from
 here (may be empty), CRC-16. All characters are of the QR code's alphanumeric set, which packs two
 into 11 bits, so that modules stay large. The checksum tells a tag from a foreign text; reading
-errors are the code's own affair.
+errors are the code's own affair. The plant prints it, the stack reads it.
 """
 
 import re
