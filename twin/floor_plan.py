@@ -79,9 +79,9 @@ def machines(site: Any) -> dict[str, list[Box]]:
     half = line.width / 2 + RAIL
     dx0, dx1, dy0, dy1 = MOTOR
     belt = [
-        _placed(start, -HOOD_BEHIND, end, -half, half),
-        _placed(start, end + BIN[0], end + BIN[1], -BIN[2] / 2, BIN[2] / 2),
-        _placed(start, end + dx0, end + dx1, dy0 + 0.10 - line.width / 2, dy1),
+        placed(start, -HOOD_BEHIND, end, -half, half),
+        placed(start, end + BIN[0], end + BIN[1], -BIN[2] / 2, BIN[2] / 2),
+        placed(start, end + dx0, end + dx1, dy0 + 0.10 - line.width / 2, dy1),
     ]
     built = {"belt": belt}
     for name, pose, shape in (
@@ -90,12 +90,12 @@ def machines(site: Any) -> dict[str, list[Box]]:
         ("goods-in stand", site.goods_in, STAND),
     ):
         if pose is not None:
-            built[name] = [_centred(pose, *shape)]
+            built[name] = [centred(pose, *shape)]
     for rack in site.racks:
-        built[f"rack {rack.number}"] = [_centred(rack.pose, 0.0, 0.0, *RACK)]
+        built[f"rack {rack.number}"] = [centred(rack.pose, 0.0, 0.0, *RACK)]
     for i, (x0, y0, x1, y1) in enumerate(site.hall.partitions):
         length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-        built[f"partition {i}"] = [_placed((x0, y0, yaw), 0.0, length, -PANEL / 2, PANEL / 2)]
+        built[f"partition {i}"] = [placed((x0, y0, yaw), 0.0, length, -PANEL / 2, PANEL / 2)]
     return built
 
 
@@ -160,12 +160,12 @@ def _check_reach(site: Any) -> None:
         )
 
 
-def _centred(pose, x: float, y: float, length: float, width: float) -> Box:
+def centred(pose, x: float, y: float, length: float, width: float) -> Box:
     """A box by the middle and size along x and y that it has in the frame at `pose`, in world."""
-    return _placed(pose, x - length / 2, x + length / 2, y - width / 2, y + width / 2)
+    return placed(pose, x - length / 2, x + length / 2, y - width / 2, y + width / 2)
 
 
-def _placed(pose, x0: float, x1: float, y0: float, y1: float) -> Box:
+def placed(pose, x0: float, x1: float, y0: float, y1: float) -> Box:
     """A box given in the frame at `pose`, in world."""
     x, y, yaw = compose2(pose, ((x0 + x1) / 2, (y0 + y1) / 2, 0.0))
     return rectangle(x, y, yaw, x1 - x0, y1 - y0)

@@ -45,6 +45,22 @@ class LikelihoodField:
         distances = np.minimum(cells * np.float32(resolution), np.float32(max_distance))
         self.distances: NDArray[np.float32] = np.ascontiguousarray(distances, dtype=np.float32)
 
+    @classmethod
+    def of_segments(
+        cls, segments: Array, origin, resolution: float, shape: tuple[int, int], max_distance: float
+    ) -> "LikelihoodField":
+        """Distances from cell centres to drawn surfaces, which no cell has rounded.
+
+        Args:
+            segments: x0, y0, x1, y1 in world, m. Shape (n, 4).
+            origin, resolution, max_distance: as of the class.
+            shape: rows and columns.
+        """
+        field = cls(np.zeros(shape, dtype=bool), origin, resolution, max_distance)
+        segments = np.ascontiguousarray(segments, dtype=np.float64).reshape(-1, 4)
+        _approach(field.distances, segments, *field.origin, field.resolution, field.max_distance)
+        return field
+
     def lookup(self, points: Array) -> NDArray[np.float32]:
         """Distances of points in world to the nearest obstacle, m. Shape (n, 2) to (n,).
 
@@ -66,3 +82,24 @@ def _lookup(distances, points, x0, y0, resolution, limit):
         inside = column >= 0 and column < w and row >= 0 and row < h
         found[i] = distances[int(row), int(column)] if inside else limit
     return found
+
+
+@njit(cache=True)
+def _approach(distances, segments, x0, y0, resolution, limit):
+    """Lower each cell to its distance from the nearest segment."""
+    h, w = distances.shape
+    for k in range(len(segments)):
+        ax, ay, bx, by = segments[k]
+        dx, dy = bx - ax, by - ay
+        length = dx * dx + dy * dy
+        left = max(int((min(ax, bx) - limit - x0) / resolution), 0)
+        right = min(int((max(ax, bx) + limit - x0) / resolution) + 1, w)
+        bottom = max(int((min(ay, by) - limit - y0) / resolution), 0)
+        top = min(int((max(ay, by) + limit - y0) / resolution) + 1, h)
+        for i in range(bottom, top):
+            for j in range(left, right):
+                px, py = x0 + (j + 0.5) * resolution - ax, y0 + (i + 0.5) * resolution - ay
+                share = (px * dx + py * dy) / length if length > 0 else 0.0
+                share = min(max(share, 0.0), 1.0)
+                distance = np.hypot(px - share * dx, py - share * dy)
+                distances[i, j] = min(distances[i, j], np.float32(distance))
