@@ -12,8 +12,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Polygon
 
-from twin.geometry import Array, apply, pose2_to_transform, transform
-from twin.layout import FOOTPRINT, load_layout, rectangle
+from twin.floor_plan import FOOTPRINT, machines
+from twin.geometry import Array, apply, pose2_to_transform, rectangle, transform
+from twin.layout import load_layout
 from twin.stack.config import StackConfig
 
 RED, GREEN, BLUE = "tab:red", "tab:green", "tab:blue"
@@ -43,9 +44,12 @@ def draw_hall(axes, config: StackConfig) -> None:
         np.mean(site.hall.x), np.mean(site.hall.y), 0, np.ptp(site.hall.x), np.ptp(site.hall.y)
     )
     axes.add_patch(Polygon(box, fill=False, color="0.6"))
+    for boxes in machines(site).values():
+        for box in boxes:
+            axes.add_patch(Polygon(box, color="0.75"))
     draw_belt(axes, config, np.eye(4))
-    route = [site.dock, *site.route_to_pick, site.pick, *site.route_to_receiving, site.receiving]
-    axes.plot(*np.array(route)[:, :2].T, ":", color="0.5")
+    tags = np.array([tag.pose[:2] for tag in site.tags])
+    axes.plot(*tags.T, "s", color="0.4", markersize=2)
     for name, pose in (("dock", site.dock), ("pick", site.pick), ("receiving", site.receiving)):
         axes.add_patch(Polygon(rectangle(*pose, *FOOTPRINT), color="tab:orange", alpha=0.35))
         draw_frame(axes, pose2_to_transform(pose), f"base at {name}", 0.45)

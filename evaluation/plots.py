@@ -8,10 +8,15 @@ from matplotlib.patches import Polygon
 
 from evaluation.ape import pose_errors
 from twin.geometry import rectangle
-from twin.site import Site
 from twin.recording.tum import read_tum
+from twin.site import Site
 
-LABELS = {"truth": "true", "estimate": "localised", "fused": "fused odometry", "odometry": "wheels alone"}
+LABELS = {
+    "truth": "true",
+    "estimate": "localised",
+    "fused": "fused odometry",
+    "odometry": "wheels alone",
+}
 
 
 def plot_paths(axes: Axes, folder: Path, site: Site | None = None) -> None:

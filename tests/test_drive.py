@@ -15,6 +15,9 @@ from twin.stack.planning.drive import MARGIN, Drive, Leg
 DT = 0.01
 LIMITS = DriveLimits()
 SITE = load_layout().site
+# Straight, strafe, turn on the spot; the last legs are along the belt and away from it.
+TO_LINE = ([2.4, 0.0, 0.0], [2.4, 0.7, 0.0], [4.0, 0.7, 0.0], SITE.pick_approach)
+AWAY = (SITE.pick_leave,)
 
 
 class WheelLoops:
@@ -49,7 +52,7 @@ def follow(route, start, limit=60.0):
 
 
 def test_route_to_the_line_is_driven_at_cruise_and_ends_in_place():
-    route = [*SITE.route_to_pick, SITE.pick]
+    route = [*TO_LINE, SITE.pick]
     drive, rows = follow(route, SITE.dock)
     assert drive.done
     np.testing.assert_allclose(rows[-1, 1:3], SITE.pick[:2], atol=0.005)
@@ -109,9 +112,9 @@ def mission():
     for seed in (0, 3):
         bench = DriveBench(seed)
         bench.stand_until_ready()
-        bench.go([*SITE.route_to_pick, SITE.pick])
+        bench.go([*TO_LINE, SITE.pick])
         bench.at_pick = bench.world.truth().pose
-        bench.go([*SITE.route_to_receiving, SITE.receiving])
+        bench.go([*AWAY, SITE.receiving])
         benches.append(bench)
     return benches
 

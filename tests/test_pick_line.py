@@ -21,8 +21,8 @@ from twin.recording.tum import read_tum
 # 1.6 m before the line and handed over 0.5 m beside it: the whole route is for test-slow.
 NEAR = (
     "site.dock=[4.0,1.6,1.5707963]",
-    "site.route_to_pick=[]",
-    "site.route_to_receiving=[]",
+    "site.pick_approach=[4.0,1.6,1.5707963]",
+    "site.pick_leave=[4.5,3.2,1.5707963]",
     "site.receiving=[4.5,3.2,1.5707963]",
     "order=3",
 )
@@ -101,7 +101,7 @@ def test_trajectories_give_the_reports_pose_errors(first):
 
 def test_same_seed_same_bits(first, second):
     """Expected: files equal to the byte, also where one of the runs is recorded."""
-    for name in ("truth", "estimate", "odometry"):
+    for name in ("truth", "estimate", "fused", "odometry"):
         a, b = ((run.folder / f"{name}.tum").read_bytes() for run in (first, second))
         assert a == b, name
     a, b = (without_times(run.report) for run in (first, second))

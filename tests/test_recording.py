@@ -16,6 +16,9 @@ from twin.messages import (
     BodyVelocity,
     CameraFrame,
     Commands,
+    DriveOrder,
+    FloorFrame,
+    Goal,
     GripperCommand,
     GripperReading,
     ImuReading,
@@ -44,6 +47,8 @@ def every_reading(rng: np.random.Generator, t: float):
         CameraFrame(t, rng.integers(0, 256, (48, 64, 3), dtype=np.uint8)),
         ArmReading(t, 0, rng.normal(size=6), rng.normal(size=6)),
         GripperReading(t, 1, 0.031, 1 / 3),
+        FloorFrame(t, rng.integers(0, 256, (24, 32), dtype=np.uint8)),
+        DriveOrder(t, (Goal("R7", (1.0, -2.0, 1 / 3)),)),
         Order(t, (("sma_f_n_m", 3), ("n_tee_fff", 2))),
     )
 
@@ -74,7 +79,7 @@ def test_a_log_gives_back_what_was_written(tmp_path):
         assert same(tick.readings, readings) and same(tick.commands, commands)
         np.testing.assert_array_equal(tick.readings[3].depth_mm, readings[3].depth_mm)
         np.testing.assert_array_equal(tick.readings[4].image, readings[4].image)
-        assert tick.readings[7] == readings[7]
+        assert tick.readings[8:] == readings[8:]
     layout = load_layout()
     assert read_setting(tmp_path / "readings.log") == (layout.site, layout.options)
 
@@ -119,4 +124,4 @@ def test_a_log_is_read_where_no_simulator_is(tmp_path):
         "print(sum(len(t.readings) for t in read_log(Path(sys.argv[1]))))"
     )
     run = [sys.executable, "-c", code, str(tmp_path / "readings.log")]
-    assert subprocess.check_output(run, text=True).strip() == "40"
+    assert subprocess.check_output(run, text=True).strip() == "50"

@@ -9,7 +9,7 @@ import pytest
 from twin.cli import main
 
 # Docked within sight of the belt, so that a short run gets to pick.
-NEAR = ["site.dock=[4.0,1.2,1.5707963]", "site.route_to_pick=[]"]
+NEAR = ["site.dock=[4.0,1.2,1.5707963]", "site.pick_approach=[4.0,1.2,1.5707963]"]
 SECONDS = 10
 
 REPLAY = """

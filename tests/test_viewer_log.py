@@ -17,6 +17,7 @@ from twin.messages import (
     CameraFrame,
     Commands,
     Detection,
+    FloorFrame,
     GripperReading,
     LidarScan,
     RgbdFrame,
@@ -76,6 +77,7 @@ def tick(t: float):
         pose=np.array([t + 0.003, 0.004, 0.0]),
         pose_covariance=np.eye(3),
         odometry_pose=np.array([t, 0.03, 0.0]),
+        fused_pose=np.array([t, 0.01, 0.0]),
         velocity=np.zeros(3),
         task="drive",
         tracks=(track,),
@@ -86,6 +88,7 @@ def tick(t: float):
     )
     readings = (
         CameraFrame(t, np.full((48, 64, 3), 90, np.uint8)),
+        FloorFrame(t, np.full((48, 64), 120, np.uint8)),
         RgbdFrame(t, np.full((24, 42, 3), 90, np.uint8), np.full((24, 42), 1500, np.uint16)),
         LidarScan(t, -np.pi, np.pi / 4, np.array([1.0, np.inf, 2.0, 1.0, 1.0, 1, 1, 1]), 8.0),
         GripperReading(t, 1, 0.03, 12.0),

@@ -18,15 +18,22 @@ def blueprint(site: Site) -> rrb.Blueprint:
     cell = rrb.Spatial3DView(
         name="cell",
         origin="world",
-        contents=["$origin/**", "- $origin/paths/**"],
+        contents=["$origin/**", "- $origin/paths/**", "- $origin/tags/**"],
         eye_controls=rrb.EyeControls3D(
             position=(px + 2.2, py - 2.2, 2.2), look_target=(px, py, 0.6), eye_up=(0, 0, 1)
         ),
     )
     above = rrb.Spatial3DView(
-        name="map: true, estimated, wheels alone",
+        name="map: true, localised, fused odometry, wheels alone",
         origin="world",
-        contents=["$origin/paths/**", "$origin/line/**", "$origin/estimate/footprint"],
+        contents=[
+            "$origin/paths/**",
+            "$origin/line/**",
+            "$origin/hall/**",
+            "$origin/tags/**",
+            "$origin/navigation/**",
+            "$origin/estimate/footprint",
+        ],
         eye_controls=rrb.EyeControls3D(
             position=(x, y - 0.01, 1.2 * far), look_target=(x, y, 0), eye_up=(0, 1, 0)
         ),
@@ -36,12 +43,14 @@ def blueprint(site: Site) -> rrb.Blueprint:
         rrb.Spatial2DView(name="mast camera", origin="world/estimate/mast_camera"),
         rrb.Spatial2DView(name="depth camera", origin="world/estimate/rgbd/colour"),
         rrb.Spatial2DView(name="depth", origin="world/estimate/rgbd/depth"),
+        rrb.Spatial2DView(name="floor camera", origin="world/estimate/floor_camera"),
     )
     plots = rrb.Tabs(
         rrb.TimeSeriesView(name="errors", origin="errors"),
         rrb.TimeSeriesView(name="picks", origin="picks"),
         rrb.TimeSeriesView(name="grippers", origin="grippers"),
         rrb.TimeSeriesView(name="drive", origin="drive"),
+        rrb.TimeSeriesView(name="localisation", origin="localisation"),
         rrb.TimeSeriesView(name="goals", origin="goals"),
     )
     events = rrb.Tabs(

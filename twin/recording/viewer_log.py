@@ -10,7 +10,14 @@ import rerun as rr
 
 from twin.floor_plan import FOOTPRINT
 from twin.geometry import pose2_to_transform, wrap_angle
-from twin.messages import CameraFrame, GripperReading, LidarScan, RgbdFrame, StackState
+from twin.messages import (
+    CameraFrame,
+    FloorFrame,
+    GripperReading,
+    LidarScan,
+    RgbdFrame,
+    StackState,
+)
 from twin.recording.blueprint import blueprint
 from twin.recording.columns import Columns
 from twin.recording.scene import body_entities, draw
@@ -24,7 +31,12 @@ POSE_PERIOD = 0.05  # s
 PATH_PERIOD = 0.2  # s
 FLUSH_PERIOD = 2.0  # s
 JPEG_QUALITY = 80
-COLOURS = {"true": (60, 180, 75), "estimate": (0, 130, 200), "wheels": (230, 120, 30)}
+COLOURS = {
+    "true": (60, 180, 75),
+    "estimate": (0, 130, 200),
+    "fused": (145, 30, 180),
+    "wheels": (230, 120, 30),
+}
 
 
 class ViewerLog:
@@ -66,10 +78,13 @@ class ViewerLog:
             self._detections(state)
         for line in state.events:
             self.event(t, line)
+        for sight in state.sights:
+            self.event(sight.stamp, f"tag {sight.tag}: {sight.action}")
         if self._due("pose", t, POSE_PERIOD):
             self._poses(tick)
         if self._due("path", t, PATH_PERIOD):
             self._paths(tick)
+            self._navigation(t, state)
         if self._due("flush", t, FLUSH_PERIOD):
             self._columns.send()
 
@@ -102,12 +117,26 @@ class ViewerLog:
             half_sizes=[(FOOTPRINT[0] / 2, FOOTPRINT[1] / 2, 0.005)], colors=[0, 130, 200]
         )
         self._out.log("world/estimate/footprint", box, static=True)
-        for name, camera in (("mast_camera", config.camera), ("rgbd", config.rgbd)):
+        cameras = {
+            "mast_camera": config.camera,
+            "rgbd": config.rgbd,
+            "floor_camera": config.tag_camera,
+        }
+        for name, camera in cameras.items():
             self._place(f"world/estimate/{name}", camera.T_base_camera)
         self._pinhole("world/estimate/mast_camera", config.camera)
+        self._pinhole("world/estimate/floor_camera", config.tag_camera)
         self._pinhole("world/estimate/rgbd/colour", config.rgbd)
         self._pinhole("world/estimate/rgbd/depth", config.rgbd, scale=0.5)
         self._place("world/estimate/lidar", config.T_base_lidar)
+        tags = config.site.tags
+        points = rr.Points3D(
+            [(*tag.pose[:2], 0.0) for tag in tags],
+            labels=[tag.name for tag in tags],
+            radii=0.05,
+            colors=(255, 225, 25),
+        )
+        self._out.log("world/tags", points, static=True)
         for name, colour in COLOURS.items():
             style = rr.LineStrips3D.from_fields(colors=[colour], radii=[0.012])
             self._out.log(f"world/paths/{name}", style, static=True)
@@ -141,7 +170,12 @@ class ViewerLog:
         half = state.pose[2] / 2
         quat_wxyz = (np.cos(half), 0.0, 0.0, np.sin(half))
         self._columns.pose("world/estimate", t, np.array([*T[:3, 3], *quat_wxyz]))
-        for name, pose in (("estimate", state.pose), ("wheels", state.odometry_pose)):
+        estimates = {
+            "estimate": state.pose,
+            "fused": state.fused_pose,
+            "wheels": state.odometry_pose,
+        }
+        for name, pose in estimates.items():
             distance = 1e3 * float(np.hypot(*(pose[:2] - true[:2])))
             yaw = float(np.degrees(wrap_angle(pose[2] - true[2])))
             self.plot(t, f"errors/{name}_position_mm", distance)
@@ -151,6 +185,8 @@ class ViewerLog:
             self.plot(t, f"drive/{name}_wanted", tick.commands.body_velocity.as_array()[i])
         if np.isfinite(state.distance_to_pick):
             self.plot(t, "drive/distance_to_pick", state.distance_to_pick)
+        self.plot(t, "localisation/particles", float(state.particles))
+        self.plot(t, "localisation/lost", float(state.lost))
         for name, value in state.goals.items():
             self.plot(t, f"goals/{name}", value)
         for name, value in self._counts().items():
@@ -168,13 +204,26 @@ class ViewerLog:
         now = {
             "true": tick.truth.pose,
             "estimate": tick.state.pose,
+            "fused": tick.state.fused_pose,
             "wheels": tick.state.odometry_pose,
         }
         for level, (name, pose) in enumerate(now.items()):
-            point = np.array([pose[0], pose[1], 0.01 * (3 - level)])
+            point = np.array([pose[0], pose[1], 0.01 * (4 - level)])
             if name in self._path:
                 self._columns.line(f"world/paths/{name}", tick.stamp, [self._path[name], point])
             self._path[name] = point
+
+    def _navigation(self, t: float, state: StackState) -> None:
+        """The global way and the piece of it that is driven now."""
+        self._at(t)
+        ways = (
+            ("path", state.navigation.path, (128, 128, 128), 0.06),
+            ("trajectory", state.navigation.trajectory, (240, 50, 230), 0.08),
+        )
+        for name, way, colour, height in ways:
+            points = np.column_stack([way[:, :2], np.full(len(way), height)])
+            shown = rr.LineStrips3D([points] if len(way) > 1 else [], colors=colour, radii=0.01)
+            self._out.log(f"world/navigation/{name}", shown)
 
     # --- sensors --------------------------------------------------------------------------------
 
@@ -183,6 +232,9 @@ class ViewerLog:
         if isinstance(reading, CameraFrame):
             self._at(reading.stamp)
             self._out.log("world/estimate/mast_camera", _jpeg(reading.image))
+        elif isinstance(reading, FloorFrame):
+            self._at(reading.stamp)
+            self._out.log("world/estimate/floor_camera", _jpeg(reading.image))
         elif isinstance(reading, RgbdFrame):
             self._at(reading.stamp)
             self._out.log("world/estimate/rgbd/colour", _jpeg(reading.rgb))
@@ -223,7 +275,9 @@ class ViewerLog:
         return True
 
 
-def _jpeg(rgb) -> rr.EncodedImage:
+def _jpeg(picture) -> rr.EncodedImage:
+    """A colour (RGB) or grey picture."""
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), quality)[1]
+    bgr = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    data = cv2.imencode(".jpg", bgr, quality)[1]
     return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
