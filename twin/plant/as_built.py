@@ -16,6 +16,7 @@ WHEEL_RADIUS = 0.00008  # m, 1 sigma: ground rollers, 0.1 mm class
 HALF_TRACK = 0.0005  # m, 1 sigma: welded frame
 CAMERA_POSITION, CAMERA_ANGLE = 0.0003, 0.0005  # m, rad: after hand-eye calibration
 CAMERA_FOCAL = 0.0005  # relative: after intrinsic calibration
+TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE = 0.0005, 0.001  # m, rad: after extrinsic calibration
 MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
 ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
 
@@ -32,6 +33,8 @@ class AsBuilt:
     lidar_mount: Array  # (4, 4)
     arm_joint_zero: Array  # (2, 6) rad: encoder reads true angle plus this
     dock: Array  # (3,) x, y, yaw added to the drawn dock pose
+    tag_camera_mount: Array  # (4, 4)
+    floor_seed: int  # of how the floor tags are stuck down
 
     @classmethod
     def draw(cls, rng: np.random.Generator, tolerances) -> "AsBuilt":
@@ -56,4 +59,6 @@ class AsBuilt:
                     np.radians(rng.uniform(-tolerances.dock_yaw_deg, tolerances.dock_yaw_deg)),
                 ]
             ),
+            tag_camera_mount=mount(TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE),
+            floor_seed=int(rng.integers(1 << 32)),
         )

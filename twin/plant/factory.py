@@ -14,6 +14,7 @@ from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transfo
 from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
+from twin.plant.floor_tags import add_floor_tags
 from twin.plant.hall import FLOOR, STANDING, hall
 from twin.plant.model_files import load_model
 from twin.site import Line, Pose2
@@ -53,6 +54,7 @@ def build(
     """
     root = models or models_dir()
     spec = hall(layout)
+    add_floor_tags(spec, layout, as_built.floor_seed)
     line = load_model(root, "line/line.xml")
     _resize_line(line, layout.site.line)
     line.geom("belt").friction[0] = layout.world.line.friction
@@ -137,6 +139,7 @@ def _deviate(agv: mujoco.MjSpec, as_built: AsBuilt) -> None:
     flip = transform(rot_x(np.pi), (0, 0, 0))  # MuJoCo looks along -z, the optical frame along z
     _move(agv.body("mast_camera"), flip @ as_built.camera_mount @ inverse(flip))
     _move(agv.body("rgbd"), flip @ as_built.rgbd_mount @ inverse(flip))
+    _move(agv.body("tag_camera"), flip @ as_built.tag_camera_mount @ inverse(flip))
     camera = agv.camera("mast_camera")
     # a longer focal length f = h / (2 tan(fovy / 2)) narrows the view
     half = np.tan(np.radians(camera.fovy) / 2) / as_built.camera_focal

@@ -11,6 +11,7 @@ from twin.plant.as_built import AsBuilt
 from twin.plant.feeder import Feeder
 from twin.plant.sensors.camera import MastCamera
 from twin.plant.sensors.encoders import WheelEncoders
+from twin.plant.sensors.floor_camera import FloorCamera
 from twin.plant.sensors.imu import ImuSensor
 from twin.plant.sensors.joints import ArmSensor, GripperSensor
 from twin.plant.sensors.lidar import LidarSensor
@@ -47,7 +48,7 @@ class Plant:
     """
 
     def __init__(self, layout: Layout, seed: int):
-        built, wheels, feed, *noise = np.random.default_rng(seed).spawn(8)
+        built, wheels, feed, *noise = np.random.default_rng(seed).spawn(9)
         self.layout, self.as_built = layout, AsBuilt.draw(built, layout.world.tolerances)
         self.world = World(layout, self.as_built)
         model = self.world.model
@@ -69,6 +70,7 @@ class Plant:
             LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
             self._mast_camera,
             RgbdCamera(self.renderer, noise[4], k),
+            FloorCamera(self.renderer, model, noise[5], k),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
         self._begun = False

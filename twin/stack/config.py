@@ -174,7 +174,7 @@ class StackConfig:
     )
     tag_camera: Camera = field(  # looks straight down through a well; image up is forward
         default_factory=lambda: Camera(
-            640, 480, 40.0, look_at((0.0, 0.0, 0.30), (0.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
+            320, 240, 40.0, look_at((0.0, 0.0, 0.30), (0.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
         )
     )
     tag_side: float = 0.100  # outer edge of a floor tag's code, quiet zone left out, m
