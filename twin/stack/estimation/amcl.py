@@ -83,6 +83,8 @@ class Amcl:
         self.stamp = -np.inf  # of the last scan, s
         self._odometry: Array | None = None  # at the last update
         self.dropped = 0
+        self.updates = 0  # scans weighed
+        self.quality = s.expected  # share of the last scan's beams that the map explains
         # Log-density of a beam of nowhere, and how much more one that ends on the map has.
         self._nowhere = float(np.log(s.beams.z_rand / range_max))
         self._on_map = float(np.log(beam_density(0.0, s.beams, range_max))) - self._nowhere
@@ -117,7 +119,7 @@ class Amcl:
         self._odometry = odometry
         self.stamp = max(self.stamp, stamp)
         self._set(particles[kept])
-        self.pose, self.covariance = pose, root @ root.T
+        self.pose, self.covariance, self.dominance = pose, root @ root.T, 1.0
 
     def scatter(self) -> None:
         """Know nothing: the most particles, all over the free cells."""
@@ -147,6 +149,7 @@ class Amcl:
         if rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
             return None
         self._odometry, self._scan = odometry, (p_base, silent)
+        self.updates += 1
         self.particles = s.motion(self.particles, step, s.noise, self._normals())
         self._weigh(p_base, silent)
         self._redraw(p_base, silent)
@@ -176,6 +179,11 @@ class Amcl:
         if odometry is not None and self._odometry is not None:
             pose = compose2(pose, between2(odometry, self._odometry))
         return float(np.exp(self.likelihood.log_likelihood(pose[None], *self._scan)[0]))
+
+    @property
+    def pose_odometry(self) -> Array | None:
+        """What the odometry said at the last scan weighed, to which `pose` belongs. Shape (3,)."""
+        return self._odometry
 
     @property
     def lost(self) -> bool:
@@ -218,7 +226,7 @@ class Amcl:
         )
         self.weights = weights / np.sum(weights)
         # Weighed by the scan, so that particles of recovery that found nothing do not count.
-        quality = float(self.weights @ self._explained(fit))
+        quality = self.quality = float(self.weights @ self._explained(fit))
         # What a good fit is shows at once and is forgotten slowly: a long mean learnt on the way
         # would call the first wrong place good enough.
         self._slow = max(quality, self._slow + s.slow * (quality - self._slow))
@@ -246,6 +254,7 @@ class Amcl:
 
     def _estimate(self) -> None:
         inside = heaviest(self.particles, self.weights)
+        self.dominance = float(self.weights @ inside)  # weight of the cluster that is the estimate
         self.pose, self.covariance = mean_and_covariance(self.particles, self.weights * inside)
 
 

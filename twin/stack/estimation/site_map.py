@@ -19,7 +19,8 @@ from twin.stack.estimation.map_file import load_map
 from twin.stack.estimation.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 RESOLUTION = 0.05  # m, edge of a cell
-MARGIN = 10  # cells about the hall: a scan's end points may fall behind a wall
+MARGIN = 0.5  # m about the hall: a scan's end points may fall behind a wall
+WALL = 0.05  # m of the outer walls that are drawn
 TOUCH = 1e-6  # m by which a box must reach into a cell to fill it
 
 
@@ -68,22 +69,24 @@ class SiteMap:
         )
 
 
-def lidar_map(site: Any, T_base_lidar: Array) -> SiteMap:
+def lidar_map(site: Any, T_base_lidar: Array, resolution: float = RESOLUTION) -> SiteMap:
     """What a level lidar on the vehicle sees of the drawing `twin.site.Site`.
 
     Args:
         site: the drawing.
         T_base_lidar: mount; its height decides what is seen. Shape (4, 4).
+        resolution: edge of a cell, m.
     """
     boxes = sections(site, float(T_base_lidar[2, 3]))
     drawn = [box for machine in boxes.values() for box in machine]
     surfaces = [(*box[i - 1], *box[i]) for box in [_hall(site), *drawn] for i in range(4)]
-    return _draw(site, drawn, np.array(surfaces))
+    return _draw(site, drawn, resolution, np.array(surfaces))
 
 
-def floor_map(site: Any) -> SiteMap:
+def floor_map(site: Any, resolution: float = RESOLUTION) -> SiteMap:
     """What stands in the way of the vehicle, whole outlines of the drawing: for planning."""
-    return _draw(site, [box for machine in machines(site).values() for box in machine])
+    boxes = [box for machine in machines(site).values() for box in machine]
+    return _draw(site, boxes, resolution)
 
 
 def load_site_map(path: Path | str) -> SiteMap:
@@ -105,24 +108,24 @@ def _hall(site: Any) -> Box:
     return rectangle((x0 + x1) / 2, (y0 + y1) / 2, 0.0, x1 - x0, y1 - y0)
 
 
-def _draw(site: Any, boxes: list[Box], surfaces: Array | None = None) -> SiteMap:
+def _draw(site: Any, boxes: list[Box], resolution: float, surfaces: Array | None = None) -> SiteMap:
     """Cells that boxes reach into, in a hall whose walls begin at its inner faces."""
     (x0, x1), (y0, y1) = site.hall.x, site.hall.y
-    origin = np.array([x0, y0]) - MARGIN * RESOLUTION
-    size = np.ceil((np.array([x1, y1]) - origin) / RESOLUTION - 1e-6).astype(int) + MARGIN
+    margin = int(np.ceil(MARGIN / resolution))
+    origin = np.array([x0, y0]) - margin * resolution
+    size = np.ceil((np.array([x1, y1]) - origin) / resolution - 1e-6).astype(int) + margin
     states = np.full((size[1], size[0]), UNKNOWN, dtype=np.int8)
-    x, y = (origin[i] + (np.arange(size[i]) + 0.5) * RESOLUTION for i in range(2))
-    half = 0.5 * RESOLUTION
+    x, y = (origin[i] + (np.arange(size[i]) + 0.5) * resolution for i in range(2))
+    half = 0.5 * resolution
 
-    def between(low, high, by):
-        inside_x = (x > low[0] - by) & (x < high[0] + by)
-        return inside_x & ((y > low[1] - by) & (y < high[1] + by))[:, None]
+    def between(by: float) -> NDArray[np.bool_]:
+        return ((x > x0 - by) & (x < x1 + by)) & ((y > y0 - by) & (y < y1 + by))[:, None]
 
-    states[between((x0, y0), (x1, y1), RESOLUTION + half - TOUCH)] = OCCUPIED
-    states[between((x0, y0), (x1, y1), -half + TOUCH)] = FREE
+    states[between(WALL + half - TOUCH)] = OCCUPIED
+    states[between(TOUCH - half)] = FREE
     for box in boxes:
         states[_reached(np.array(box), x, y, half)] = OCCUPIED
-    return SiteMap(states, RESOLUTION, origin, np.zeros((0, 4)) if surfaces is None else surfaces)
+    return SiteMap(states, resolution, origin, np.zeros((0, 4)) if surfaces is None else surfaces)
 
 
 def _reached(box: Array, x: Array, y: Array, half: float) -> NDArray[np.bool_]:

@@ -1,0 +1,257 @@
+"""Where the vehicle is: dead reckoning, corrected by the lidar on the map and by floor tags.
+
+Wheels and inertial unit carry the pose from tick to tick; AMCL and tags correct the frame that they
+count in. Nobody knows where the vehicle is after it was carried away: then `lost` holds until a tag
+says so, or until the scan has fitted one place alone over some way.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from twin.geometry import Array, between2
+from twin.messages import FloorFrame, LidarScan, TagSight
+from twin.stack.config import StackConfig
+from twin.stack.detection.qr import TagDrawing, TagFix, TagReader
+from twin.stack.estimation.amcl import Amcl, AmclSettings
+from twin.stack.estimation.fusion import FusedOdometry
+from twin.stack.estimation.map_correction import MapCorrection, growth
+from twin.stack.estimation.qr_fusion import QrFusion, TagPolicy
+from twin.stack.estimation.site_map import floor_map, lidar_map, load_site_map
+
+SEED = 20  # of the particles; any will do
+RANGE_MAX = 30.0  # m, of the lidar: maker's specification
+RESOLUTION = 0.025  # m, cells of the drawn map
+MAX_DISTANCE = 0.5  # m: farther from the map a beam's end is anywhere; ten sigma of a beam
+ROOM = 0.25  # m from the vehicle's centre to what it would touch: half its width
+# Scans half a metre apart see the same error of map, mount and range: as many count as one.
+SHARED = 10.0
+# What all scans share: lidar's mount (2 mm, 3 mrad) and range offset (10 mm, in part cancelled).
+SYSTEMATIC = np.diag([0.005, 0.005, 0.003]) ** 2
+LOST_AFTER = 0.8  # s of scans that do not fit
+PATIENCE = 5  # updates in a row outside the gate, after which the map is believed
+SURE = 0.95  # share of the particles in one place
+SPREAD = 0.15  # m, 1 sigma of that place at most
+CONFIRM = 1.2  # m of way over which one place alone must fit before it is believed
+GOOD = 0.92  # of what the map explains of scans in known places
+
+
+class Localiser:
+    """Pose of the vehicle in world.
+
+    Args:
+        config: the nominal drawing and the options: `tags`, and `map` for a map file.
+        start: x, y, yaw believed at the start, in world, within `odometry_start_sigma`.
+        settings: of AMCL.
+        policy: of the tags.
+        seed: of the particles.
+
+    Raises:
+        ValueError: one line, for a map file that cannot be read.
+    """
+
+    def __init__(
+        self,
+        config: StackConfig,
+        start: Array,
+        settings: AmclSettings | None = None,
+        policy: TagPolicy | None = None,
+        seed: int = SEED,
+    ):
+        start = np.array(start, dtype=float)
+        self.fused = FusedOdometry(config, start)
+        if config.options.map is None:
+            seen = lidar_map(config.site, config.T_base_lidar, RESOLUTION)
+            free = floor_map(config.site, RESOLUTION).room(ROOM)
+        else:
+            seen = load_site_map(Path(config.options.map))
+            free = seen.room(ROOM)
+        self.amcl = Amcl(
+            seen.likelihood_field(MAX_DISTANCE),
+            free,
+            config.T_base_lidar,
+            RANGE_MAX,
+            np.random.default_rng(seed),
+            settings,
+        )
+        spread = np.diag(np.square(config.odometry_start_sigma))
+        self.amcl.initialise(start, spread, odometry=start)
+        self._correction = MapCorrection(start, spread, start)
+        self._reckoned = self.fused.covariance  # when the correction was last carried
+        self._tags: QrFusion | None = None
+        if config.options.tags and config.site.tags:
+            self._tags = QrFusion({tag.name: tag.pose for tag in config.site.tags}, policy)
+            self._reader = TagReader(config.tag_camera, TagDrawing(side=config.tag_side))
+        self.sights: list[TagSight] = []
+        self.events: list[str] = []
+        self.dropped = 0
+        self.lost = False
+        self._misfit_since: float | None = None  # stamp of the scan since which none has fitted
+        self._outside = 0  # AMCL's poses in a row outside the gate
+        self._confirmed = 0.0  # m of way over which one place alone has fitted
+        self._usual = self.amcl.settings.expected  # explained by the map in known places
+
+    # --- what others ask -------------------------------------------------------------------------
+
+    def pose(self, now: float) -> Array:
+        """x, y, yaw in world. Shape (3,)."""
+        return self._correction.at(self.fused.pose(now))
+
+    def pose_at(self, stamp: float) -> Array | None:
+        """x, y, yaw in world at a past exposure; None where the history does not reach."""
+        reckoned = self.fused.history.at(stamp)
+        return None if reckoned is None else self._correction.at(reckoned)
+
+    @property
+    def world_from_odom(self) -> Array:
+        """Pose of the dead reckoning's frame in world. Shape (3,)."""
+        return self._correction.world_from_odom
+
+    @property
+    def covariance(self) -> Array:
+        """Of x, y, yaw in world, when the correction was last carried. Shape (3, 3)."""
+        return self._correction.covariance.copy()
+
+    @property
+    def velocity(self) -> Array:
+        """vx, vy, omega in base. Shape (3,)."""
+        return self.fused.velocity
+
+    @property
+    def standing(self) -> bool:
+        return self.fused.standing
+
+    @property
+    def ready(self) -> bool:
+        """Whether the gyro bias is known well enough to drive."""
+        return self.fused.ready
+
+    @property
+    def particles(self) -> int:
+        return len(self.amcl.particles)
+
+    @property
+    def fit(self) -> float:
+        """Share of the last scan's beams that the map explains."""
+        return self.amcl.quality
+
+    def relocate(self) -> None:
+        """Give up the pose: search the whole map."""
+        self.amcl.scatter()
+        self._lose("localisation: asked to search the whole map")
+
+    # --- the tick --------------------------------------------------------------------------------
+
+    def step(self, stamp: float, readings: Iterable) -> None:
+        """Take what has arrived since the last tick; `sights` and `events` are new in each.
+
+        Readings that are broken, late or come twice change nothing and are counted in `dropped`,
+        with an event that says why.
+        """
+        readings = list(readings)
+        self.sights, self.events = [], []
+        self.fused.step(readings)
+        for reading in readings:
+            if isinstance(reading, LidarScan):
+                self._scan(reading)
+            elif isinstance(reading, FloorFrame) and self._tags is not None:
+                for fix in self._reader.read(reading):
+                    self._tag(fix)
+
+    def _drop(self, why: str) -> None:
+        self.dropped += 1
+        self.events.append(why)
+
+    def _carry(self, reckoned: Array) -> None:
+        """Bring the correction to a pose of the dead reckoning."""
+        covariance = self.fused.covariance
+        way = reckoned[:2] - self._correction.odometry[:2]
+        self._correction.carry(reckoned, growth(self._reckoned, covariance, way))
+        self._reckoned = covariance
+
+    # --- the lidar -------------------------------------------------------------------------------
+
+    def _scan(self, scan: LidarScan) -> None:
+        reckoned = self.fused.history.at(scan.stamp) if np.isfinite(scan.stamp) else None
+        if reckoned is None:
+            self._drop(f"scan at {scan.stamp:.3f} s dropped: where it was taken is not known")
+            return
+        amcl = self.amcl
+        updates, before = amcl.updates, amcl.pose_odometry
+        fault = amcl.update(scan, reckoned)
+        if fault is not None:
+            self._drop(fault)
+            return
+        if amcl.updates == updates:
+            return  # at rest, and nothing new
+        way = 0.0 if before is None else float(np.hypot(*between2(before, reckoned)[:2]))
+        self._judge(scan.stamp, way)
+        self._carry(reckoned)
+        if self.lost or amcl.lost:
+            return
+        measured = SHARED * amcl.covariance + SYSTEMATIC
+        if self._correction.update(amcl.pose, measured):
+            self._outside = 0
+        else:
+            self._outside += 1
+            if self._outside >= PATIENCE and self._one_place():
+                self.events.append("localisation: taken over from the map, which has differed")
+                self._take_over()
+
+    def _judge(self, stamp: float, way: float) -> None:
+        """Whether the vehicle is where it is believed to be."""
+        amcl = self.amcl
+        if not self.lost:
+            if not amcl.lost:
+                self._misfit_since = None
+                self._usual += 0.02 * (amcl.quality - self._usual)
+            elif self._misfit_since is None:
+                self._misfit_since = stamp
+            elif stamp - self._misfit_since >= LOST_AFTER:
+                self._lose(f"localisation: lost, the map explains {amcl.quality:.0%} of the scan")
+            return
+        good = not amcl.lost and amcl.quality >= GOOD * self._usual and self._one_place()
+        self._confirmed = self._confirmed + way if good else 0.0
+        if self._confirmed >= CONFIRM:
+            self.events.append("localisation: found, one place alone fits the scans")
+            self._take_over()
+
+    def _one_place(self) -> bool:
+        amcl = self.amcl
+        return amcl.dominance >= SURE and float(np.trace(amcl.covariance[:2, :2])) < SPREAD**2
+
+    def _lose(self, why: str) -> None:
+        self.lost, self._confirmed = True, 0.0
+        self.events.append(why)
+
+    def _take_over(self) -> None:
+        """The pose is AMCL's from now on."""
+        amcl = self.amcl
+        assert amcl.pose_odometry is not None
+        self._correction.reset(amcl.pose, amcl.covariance + SYSTEMATIC, amcl.pose_odometry)
+        self._reckoned = self.fused.covariance
+        self._outside, self.lost, self._misfit_since = 0, False, None
+
+    # --- tags ------------------------------------------------------------------------------------
+
+    def _tag(self, fix: TagFix) -> None:
+        assert self._tags is not None
+        reckoned = self.fused.history.at(fix.stamp) if np.isfinite(fix.stamp) else None
+        if reckoned is None:
+            self._drop(f"tag {fix.text.tag_id} dropped: where it was seen is not known")
+            return
+        self._carry(reckoned)
+        believed, covariance = self._correction.pose, self._correction.covariance
+        decision = self._tags.update(
+            fix, believed, covariance, lambda pose: self.amcl.fit(pose, reckoned)
+        )
+        self.sights.append(TagSight(fix.stamp, fix.text.tag_id, decision.action, decision.pose))
+        if decision.action == "refused":
+            self.events.append(decision.reason)
+            return
+        self._correction.reset(decision.pose, decision.covariance, reckoned)
+        if decision.action == "reset" or self.lost:
+            self.events.append(f"localisation: pose taken from tag {fix.text.tag_id}")
+            self.amcl.initialise(decision.pose, decision.covariance, reckoned, fix.stamp)
+            self._outside, self.lost, self._misfit_since = 0, False, None
