@@ -8,7 +8,8 @@ import numpy as np
 GAP = 0.1  # s without contact after which a touch of the same two bodies counts anew
 
 # What a geom belongs to. A wheel's roller and the floor are meant to touch, as are the tray and
-# a part; fingers are arm.
+# a part; fingers are arm. Racks and stands are stations, partitions are hall, a mover is an
+# obstacle.
 KINDS = (
     "none",
     "floor",
@@ -21,6 +22,7 @@ KINDS = (
     "arm0",
     "arm1",
     "part",
+    "obstacle",
 )
 
 
@@ -29,7 +31,7 @@ class Collision:
     """One touch that should not have been: its onset."""
 
     stamp: float
-    kind: str  # arm-arm, arm-self, arm-agv, arm-line, arm-station, arm-hall, agv-line, agv-part...
+    kind: str  # arm-arm, arm-self, arm-agv, arm-line, arm-hall, agv-line, agv-obstacle...
     first: str  # geom or body
     second: str
 
@@ -110,4 +112,6 @@ def _kind_of(model: mujoco.MjModel, geom: int) -> str:
         return "roller" if "/roller_" in name else "agv"
     if prefix in ("arm0", "arm1", "line"):
         return prefix
-    return "station" if prefix in ("receiving", "dock") else "none"
+    if prefix.startswith(("obstacle_", "mover_")):
+        return "obstacle"
+    return "station" if prefix.startswith(("receiving", "dock", "goods_in", "rack")) else "none"

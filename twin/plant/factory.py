@@ -1,10 +1,5 @@
-"""Composes the models into one world: hall, line, stations, vehicle, arms and parts.
+"""Composes the models into one world: hall, line, stations, racks, vehicle, arms and parts."""
 
-Collision classes (bit masks): floor for the rollers, things that stand, vehicle, arms, parts. They
-are set here, so that every model keeps to them whatever its own file says.
-"""
-
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -14,28 +9,16 @@ from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transfo
 from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
+from twin.plant.assembly import MASKS, attach, set_masks
 from twin.plant.floor_tags import add_floor_tags
-from twin.plant.hall import FLOOR, STANDING, hall
+from twin.plant.hall import hall
 from twin.plant.model_files import load_model
+from twin.plant.obstacles import add_movers, add_obstacles
+from twin.plant.warehouse import add_warehouse
 from twin.site import Line, Pose2
 
-VEHICLE, ARM, PART = 4, 8, 16  # bits of the collision masks, beside FLOOR and STANDING
 SPARE = 5  # parts of each class in the feeder's store beyond those that are ordered
 WHEELS = ("fl", "fr", "rl", "rr")
-
-
-@dataclass(frozen=True)
-class _Mask:
-    contype: int
-    conaffinity: int
-
-
-MASKS = {
-    "line": _Mask(STANDING, 0),
-    "vehicle": _Mask(VEHICLE, STANDING | ARM | PART),
-    "arm": _Mask(ARM, STANDING | VEHICLE | ARM | PART),
-    "part": _Mask(PART, STANDING | VEHICLE | ARM | PART),
-}
 
 
 def build(
@@ -59,11 +42,14 @@ def build(
     _resize_line(line, layout.site.line)
     line.geom("belt").friction[0] = layout.world.line.friction
     origin = (*layout.site.line.origin, layout.site.line.direction)
-    _attach(spec, line, origin, "line/", MASKS["line"])
+    attach(spec, line, origin, "line/", MASKS["standing"])
     for name, pose in (("receiving", layout.site.receiving), ("dock", layout.site.dock)):
         station = load_model(root, f"station/{name}.xml")
-        _attach(spec, station, pose, f"{name}/", MASKS["line"])
+        attach(spec, station, pose, f"{name}/", MASKS["standing"])
+    add_warehouse(spec, layout, as_built.floor_seed, root)
     _attach_vehicle(spec, root, layout.site.dock, as_built)
+    add_obstacles(spec, layout.world.faults.obstacles, root)
+    add_movers(spec, layout.world.faults.movers, root)
     store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)
     _attach_parts(spec, root, store)
     return spec
@@ -97,33 +83,13 @@ def _resize_line(spec: mujoco.MjSpec, line: Line) -> None:
             geom.pos[1] += np.sign(geom.pos[1]) * dw
 
 
-def _attach(
-    spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Pose2, prefix: str, mask: _Mask
-) -> None:
-    _set_masks(child, mask)
-    half = pose[2] / 2
-    frame = spec.worldbody.add_frame(
-        pos=(pose[0], pose[1], 0), quat=(np.cos(half), 0, 0, np.sin(half))
-    )
-    spec.attach(child, frame=frame, prefix=prefix)
-
-
-def _set_masks(spec: mujoco.MjSpec, mask: _Mask) -> None:
-    """Give every geom that collides the masks of its class; rollers meet the floor alone."""
-    for geom in spec.geoms:
-        if geom.name.startswith("roller_"):
-            geom.contype, geom.conaffinity = 0, FLOOR
-        elif geom.contype or geom.conaffinity:
-            geom.contype, geom.conaffinity = mask.contype, mask.conaffinity
-
-
 def _attach_vehicle(spec: mujoco.MjSpec, root: Path, dock: Pose2, as_built: AsBuilt) -> None:
     agv = load_model(root, "agv/agv.xml")
     _deviate(agv, as_built)
-    _attach(spec, agv, tuple(np.asarray(dock) + as_built.dock), "agv/", MASKS["vehicle"])
+    attach(spec, agv, tuple(np.asarray(dock) + as_built.dock), "agv/", MASKS["vehicle"])
     for i in range(2):
         arm = load_model(root, "arm/arm.xml")
-        _set_masks(arm, MASKS["arm"])
+        set_masks(arm, MASKS["arm"])
         spec.attach(arm, site=spec.site(f"agv/arm{i}_mount"), prefix=f"arm{i}/")
 
 
@@ -174,7 +140,7 @@ def _attach_parts(spec: mujoco.MjSpec, root: Path, pool: dict[PartClass, int]) -
     stored = 0
     for name in PART_CLASSES:
         part = load_model(root, f"connectors/{name}/{name}.xml")
-        _set_masks(part, MASKS["part"])
+        set_masks(part, MASKS["part"])
         for geom in part.geoms:
             geom.group = 4
         child = part.worldbody.first_body()

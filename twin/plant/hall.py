@@ -1,15 +1,17 @@
-"""The empty hall: physics options, light, floor and walls."""
+"""The empty hall: physics options, light, floor, walls and partitions."""
 
 import mujoco
+import numpy as np
 
+from twin.floor_plan import PANEL
 from twin.layout import Layout
+from twin.plant.assembly import FLOOR, STANDING
 
-FLOOR, STANDING = 1, 2  # bits of the collision masks
 WALL_HEIGHT = 1.1  # m, a cell's partition
 
 
 def hall(layout: Layout) -> mujoco.MjSpec:
-    """A world with floor, walls and lamps, into which the machines are put."""
+    """A world with floor, walls, partitions and lamps, into which the machines are put."""
     spec = mujoco.MjSpec()
     spec.modelname = "cell"
     spec.compiler.degree = False
@@ -41,6 +43,7 @@ def hall(layout: Layout) -> mujoco.MjSpec:
     for name, rgba in (
         ("floor", (0.50, 0.51, 0.52, 1)),
         ("wall", (0.72, 0.74, 0.75, 1)),
+        ("partition", (0.80, 0.81, 0.78, 1)),
     ):
         spec.add_material(name=name, rgba=rgba, specular=0.03, shininess=0.05)
 
@@ -74,14 +77,23 @@ def hall(layout: Layout) -> mujoco.MjSpec:
         ("south", (cx, y0 - t, h), (hx, t, h)),
         ("north", (cx, y1 + t, h), (hx, t, h)),
     ):
-        world.add_geom(
-            name=f"wall_{name}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=pos,
-            size=size,
-            material="wall",
-            group=0,
-            contype=STANDING,
-            conaffinity=0,
-        )
+        _add_wall(world, name, pos, size)
+    for i, (ax, ay, bx, by) in enumerate(layout.site.hall.partitions):
+        middle, length = ((ax + bx) / 2, (ay + by) / 2, h), np.hypot(bx - ax, by - ay)
+        size = (length / 2, PANEL / 2, h)
+        _add_wall(world, f"partition_{i}", middle, size, np.arctan2(by - ay, bx - ax), "partition")
     return spec
+
+
+def _add_wall(world, name: str, pos, size, yaw: float = 0.0, material: str = "wall") -> None:
+    world.add_geom(
+        name=f"wall_{name}",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=pos,
+        quat=(np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)),
+        size=size,
+        material=material,
+        group=0,
+        contype=STANDING,
+        conaffinity=0,
+    )

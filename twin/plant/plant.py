@@ -1,13 +1,16 @@
-"""The simulated cell as the loop sees it: readings out, commands in, one step at a time."""
+"""The simulated plant as the loop sees it: readings out, commands in, one step at a time."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from twin.layout import Layout
-from twin.messages import Commands, Order, Reading
+from twin.messages import Commands, DriveOrder, MapOrder, Order, Reading, TransportOrder
 from twin.plant.actuators.arm_drive import ArmDrive
 from twin.plant.actuators.gripper_drive import GripperDrive
 from twin.plant.actuators.wheel_drive import WheelDrive
 from twin.plant.as_built import AsBuilt
+from twin.plant.faults import FaultDriver
 from twin.plant.feeder import Feeder
 from twin.plant.sensors.camera import MastCamera
 from twin.plant.sensors.encoders import WheelEncoders
@@ -21,7 +24,10 @@ from twin.plant.sensors.suite import SensorSuite
 from twin.plant.world import Truth, World
 
 PARKED_WIDTH = 0.025  # m between the pads at the start
+IDLE_POOL = 1  # parts of each class in the store of a plant that feeds none
 STEPS_PER_TICK = 5  # physics steps of 2 ms in a tick of the stack
+
+AnyOrder = Order | DriveOrder | MapOrder | TransportOrder
 
 
 class OrderDesk:
@@ -29,30 +35,36 @@ class OrderDesk:
 
     period, latency = 1e9, 0.1  # s; the latency is a guess
 
-    def __init__(self, order):
-        self._items = tuple((c, n) for c, n in order.items() if n)
+    def __init__(self, order: AnyOrder):
+        self._order = order
 
-    def sample(self, stamp: float, model, data) -> Order:
-        return Order(stamp, self._items)
+    def sample(self, stamp: float, model, data) -> AnyOrder:
+        return replace(self._order, stamp=stamp)
 
 
 class Plant:
-    """World, feeder, sensors and actuators of one run.
+    """World, feeder, faults, sensors and actuators of one run.
 
     Args:
         layout: what stands where.
         seed: of everything random in the plant.
+        order: what the desk sends; None for the parts of `layout.world.order`. Parts are fed only
+            when it is an order for parts.
 
     Raises:
         LayoutError: the models cannot be put together.
     """
 
-    def __init__(self, layout: Layout, seed: int):
+    def __init__(self, layout: Layout, seed: int, order: AnyOrder | None = None):
         built, wheels, feed, *noise = np.random.default_rng(seed).spawn(9)
         self.layout, self.as_built = layout, AsBuilt.draw(built, layout.world.tolerances)
-        self.world = World(layout, self.as_built)
+        if order is None:
+            order = Order(0.0, tuple((c, n) for c, n in layout.world.order.items() if n))
+        self._feeding = isinstance(order, Order)
+        self.world = World(layout, self.as_built, None if self._feeding else IDLE_POOL)
         model = self.world.model
         self.feeder = Feeder(self.world, layout, feed)
+        self.faults = FaultDriver(self.world, layout)
         self._encoders = WheelEncoders(model, wheels)
         self._wheels = WheelDrive(model)
         self._arms = [
@@ -63,7 +75,7 @@ class Plant:
         k = layout.world.sensors.noise_scale
         self._mast_camera = MastCamera(self.renderer, noise[3], k)
         self.sensors = (
-            OrderDesk(layout.world.order),
+            OrderDesk(order),
             ImuSensor(model, noise[0], k),
             *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
             *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
@@ -120,7 +132,9 @@ class Plant:
         self._wheels.apply(data, pwm)
         for drive in (*self._arms, *self._grippers):
             drive.apply(data)
-        self.feeder.step()
+        if self._feeding:
+            self.feeder.step()
+        self.faults.step()
         self.world.step()
         self._suite.sample(self.time, self.world.model, data)
 

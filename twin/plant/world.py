@@ -140,13 +140,39 @@ class World:
 
     def place_part(self, name: str, position, quat_wxyz, velocity=(0.0, 0.0, 0.0)) -> None:
         """Put a part somewhere, with a velocity in world. For feeder and faults alone."""
-        try:
-            i = self.part_names.index(name)
-        except ValueError:
-            raise PlantError(f"there is no part '{name}' in the store") from None
-        self.data.qpos[self._part_qpos[i]] = (*position, *quat_wxyz)
-        self.data.qvel[self._part_dof[i]] = (*velocity, 0.0, 0.0, 0.0)
+        if name not in self.part_names:
+            raise PlantError(f"there is no part '{name}' in the store")
+        self.place(name, position, quat_wxyz, velocity)
+
+    def place(self, joint: str, position, quat_wxyz, velocity=(0.0, 0.0, 0.0)) -> None:
+        """Put what hangs on a free joint somewhere, with a velocity in world.
+
+        Its own joints keep their positions and come to rest. For feeder and faults alone.
+        """
+        v = self._write_pose(self.data, joint, position, quat_wxyz)
+        self.data.qvel[v : v + 3] = velocity
         self._stale = True
+
+    def would_touch(self, joint: str, position, quat_wxyz) -> tuple[str, ...]:
+        """Names of all, save the floor, that would be touched if something were placed there."""
+        m = self.model
+        scratch = mujoco.MjData(m)
+        mujoco.mj_copyData(scratch, m, self.data)
+        self._write_pose(scratch, joint, position, quat_wxyz)
+        mujoco.mj_forward(m, scratch)
+        tree = m.body_treeid[m.joint(joint).bodyid[0]]
+        pairs = scratch.contact.geom[scratch.contact.dist < 0]
+        ours = m.body_treeid[m.geom_bodyid[pairs]] == tree
+        others = np.where(ours[:, 0], pairs[:, 1], pairs[:, 0])[ours[:, 0] != ours[:, 1]]
+        return tuple(sorted({m.geom(g).name for g in others.tolist()} - {"floor"}))
+
+    def _write_pose(self, data: mujoco.MjData, joint: str, position, quat_wxyz) -> int:
+        """Write the pose of a free joint, and rest for its whole tree. Returns its first dof."""
+        m = self.model
+        q, v = int(m.joint(joint).qposadr[0]), int(m.joint(joint).dofadr[0])
+        data.qpos[q : q + 7] = (*position, *quat_wxyz)
+        data.qvel[m.dof_treeid == m.dof_treeid[v]] = 0.0
+        return v
 
     def refresh(self) -> None:
         """Bring all derived data up to the state, after it was set before the run."""
@@ -168,19 +194,30 @@ class World:
         """Onsets of all collisions so far."""
         return self._counter.onsets
 
+    def base_motion(self) -> tuple[Array, Array]:
+        """Pose (3,) x, y, yaw of the base in world, and velocity (3,) vx, vy, omega in its axes."""
+        d, q, v = self.data, self._base_qpos, self._base_dof
+        R = rotation_from_quat(d.qpos[q + 3 : q + 7])
+        velocity = R.T @ d.qvel[v : v + 3]
+        pose = np.array([d.qpos[q], d.qpos[q + 1], np.arctan2(R[1, 0], R[0, 0])])
+        return pose, np.array([velocity[0], velocity[1], d.qvel[v + 5]])
+
+    def base_height(self) -> float:
+        """Of the base's origin over the floor, m: what the rollers give."""
+        return float(self.data.qpos[self._base_qpos + 2])
+
     def truth(self) -> Truth:
         """The true state now."""
         d, q = self.data, self._base_qpos
         R = rotation_from_quat(d.qpos[q + 3 : q + 7])
-        v = self._base_dof
-        velocity = R.T @ d.qvel[v : v + 3]
+        pose, velocity = self.base_motion()
         tcp = [transform(d.site_xmat[s].reshape(3, 3), d.site_xpos[s]) for s in self._tcp]
         parts = d.qpos[self._part_qpos]
         return Truth(
             stamp=d.time,
-            pose=np.array([d.qpos[q], d.qpos[q + 1], np.arctan2(R[1, 0], R[0, 0])]),
+            pose=pose,
             T_world_base=transform(R, d.qpos[q : q + 3]),
-            velocity=np.array([velocity[0], velocity[1], d.qvel[v + 5]]),
+            velocity=velocity,
             joint_position=d.qpos[self._arm_qpos],
             T_world_tcp=np.array(tcp),
             finger_width=d.qpos[self._finger_qpos].sum(axis=1),

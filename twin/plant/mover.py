@@ -1,0 +1,90 @@
+"""Drives a cart to and fro along its path.
+
+It stops before a vehicle that stands in its way, as the safety scanner of any such cart does, and
+goes on when the way is free. It does not give way to a vehicle that moves: that one has to see it.
+"""
+
+import mujoco
+import numpy as np
+
+from twin.floor_plan import FOOTPRINT
+from twin.geometry import Array, rectangle, rectangles_overlap, rot2
+from twin.layout import Mover
+from twin.plant.obstacles import MOVER_OUTLINE, mover_name, mover_start
+
+ACCELERATION = 1.0  # m/s^2; guess
+GAP = 0.3  # m that it leaves to a vehicle that stands
+STANDS = 0.05  # m/s and rad/s below which a vehicle stands
+GAIN = 2.0  # 1/s towards the point of the path where it should be; not tuned
+LEASH = 0.10  # m that it may be off that point before the point waits
+
+
+class MoverDriver:
+    """One cart. Call `step` at a fixed period.
+
+    Args:
+        model: the compiled plant.
+        index: of the cart in `world.faults.movers`.
+        mover: its path and speed.
+    """
+
+    def __init__(self, model: mujoco.MjModel, index: int, mover: Mover):
+        name = mover_name(index)
+        joints = [model.joint(f"{name}{axis}") for axis in "xy"]
+        self._qpos = [int(j.qposadr[0]) for j in joints]
+        self._ctrl = [model.actuator(f"{name}{axis}").id for axis in "xy"]
+        self._mover, self._start = mover, mover_start(mover)
+        self._R_world_cart = rot2(self._start[2])
+        # there and back, as one closed way
+        corners = np.array([*mover.path, *mover.path[-2::-1]], dtype=float)
+        self._along = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
+        )
+        self._corners = corners
+        self._travel = self._speed = 0.0
+
+    def position(self, data: mujoco.MjData) -> Array:
+        """Where the cart is. Shape (2,), world."""
+        return self._start[:2] + self._R_world_cart @ data.qpos[self._qpos]
+
+    def step(self, data: mujoco.MjData, pose: Array, velocity: Array, dt: float) -> None:
+        """Set the servos.
+
+        Args:
+            data: the plant's state.
+            pose: of the vehicle, x, y, yaw in world.
+            velocity: of the vehicle in base axes.
+            dt: time since the last call, s.
+        """
+        here = self.position(data)
+        wanted = 0.0 if data.time < self._mover.starts else self._allowed(here, pose, velocity)
+        change = np.clip(wanted - self._speed, -ACCELERATION * dt, ACCELERATION * dt)
+        self._speed += float(change)
+        target, direction = self._at(self._travel)
+        if np.linalg.norm(target - here) < LEASH:
+            self._travel = (self._travel + self._speed * dt) % self._along[-1]
+            target, direction = self._at(self._travel)
+        v = self._speed * direction + GAIN * (target - here)
+        data.ctrl[self._ctrl] = self._R_world_cart.T @ v
+
+    def _allowed(self, here: Array, pose: Array, velocity: Array) -> float:
+        """Speed at which it still stops in time before the vehicle, if that stands."""
+        if np.abs(velocity).max() > STANDS:
+            return self._mover.speed
+        vehicle = rectangle(*pose, *FOOTPRINT)
+        _, direction = self._at(self._travel)
+        braking = self._speed**2 / (2 * ACCELERATION)
+        length, width = MOVER_OUTLINE
+        for ahead in np.arange(0.0, GAP + braking + 0.05, 0.05):
+            x, y = here + ahead * direction
+            if rectangles_overlap(rectangle(x, y, self._start[2], length, width), vehicle):
+                return 0.0
+        return self._mover.speed
+
+    def _at(self, travel: float) -> tuple[Array, Array]:
+        """Point of the way after `travel` metres, and its direction."""
+        i = int(np.searchsorted(self._along, travel, side="right")) - 1
+        i = min(i, len(self._corners) - 2)
+        leg = self._corners[i + 1] - self._corners[i]
+        direction = leg / np.linalg.norm(leg)
+        return self._corners[i] + (travel - self._along[i]) * direction, direction
