@@ -10,7 +10,8 @@ from twin.geometry import compose2, wrap_angle
 from twin.layout import load_layout
 from twin.stack.config import DriveLimits
 from twin.stack.estimation.odometry import exp2
-from twin.stack.planning.drive import MARGIN, Drive, Leg
+from twin.stack.planning.drive import Drive, Leg
+from twin.stack.planning.tracking import MARGIN
 
 DT = 0.01
 LIMITS = DriveLimits()

@@ -133,7 +133,7 @@ def test_way_ahead_takes_little_more_than_the_least_time():
 
 def test_drives_sideways_and_turns_on_the_spot():
     beside = Teb(DRIVE).plan(0.0, REST, REST, np.array([[0, 0], [0, 0.3]]), 0.0).trajectory
-    assert np.abs(beside.twists()[:, 0]).max() < 0.05 < 0.3 < np.abs(beside.twists()[:, 1]).max()
+    assert np.abs(beside.twists[:, 0]).max() < 0.05 < 0.3 < np.abs(beside.twists[:, 1]).max()
     turn = Teb(DRIVE).plan(0.0, REST, REST, np.zeros((1, 2)), np.pi / 2).trajectory
     assert turn.length < 0.01 and turn.nodes[-1, 2] == pytest.approx(np.pi / 2)
     assert turn.duration < 1.2 * (np.pi / 2 / 1.2 + 1.2 / 2.0)

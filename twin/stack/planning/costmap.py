@@ -64,6 +64,24 @@ class Costmap:
         high = np.ceil((np.asarray(xy[:2]) + reach - self.origin) / self.resolution).astype(int)
         (j0, i0), (j1, i1) = np.maximum(low, 0), np.maximum(high, 0)
         window = np.ascontiguousarray(self.cells[i0:i1, j0:j1] == LETHAL)
+        return self._capsules(window, i0, j0)
+
+    def obstacles_along(self, path: Array, reach: float) -> Array:
+        """Outlines, as of `obstacles`, of the lethal cells within `reach` of a way (n, 2)."""
+        low = np.floor((path.min(axis=0) - reach - self.origin) / self.resolution).astype(int)
+        high = np.ceil((path.max(axis=0) + reach - self.origin) / self.resolution).astype(int) + 1
+        (j0, i0), (j1, i1) = np.maximum(low, 0), np.maximum(high, 0)
+        window = self.cells[i0:i1, j0:j1] == LETHAL
+        if not window.any():
+            return no_obstacles()
+        near = np.zeros(window.shape, dtype=np.uint8)
+        points = (path - self.origin) / self.resolution - np.array([j0, i0]) - 0.5
+        width = max(round(2 * reach / self.resolution), 1)
+        cv2.polylines(near, [np.rint(points).astype(np.int32)], False, 1, width)
+        return self._capsules(np.ascontiguousarray(window & (near > 0)), i0, j0)
+
+    def _capsules(self, window: NDArray[np.bool_], i0: int, j0: int) -> Array:
+        """Outlines of the solid cells of a window whose first cell is (i0, j0). Shape (n, 7)."""
         if not window.any():
             return no_obstacles()
         runs = _runs(_outline(window))

@@ -1,8 +1,7 @@
 """Drive to a pose along way-points: straight, strafe and turn on the spot.
 
 Each leg from pose to pose is one path coordinate from 0 to 1, moved along by a time-optimal profile
-of limited jerk (ruckig). The command is the profile's velocity through the inverse of the wheel
-loops' answer, plus a proportional response to the error of the fused pose.
+of limited jerk (ruckig), which `tracking` follows.
 """
 
 from collections.abc import Sequence
@@ -11,16 +10,14 @@ from itertools import pairwise
 import numpy as np
 import ruckig
 
-from twin.geometry import Array, between2, rot2, wrap_angle
+from twin.geometry import Array, between2, wrap_angle
 from twin.messages import BodyVelocity
 from twin.stack.config import DriveLimits
+from twin.stack.planning.tracking import VelocityLaw, pose_error
 
-GAIN = np.array([3.0, 3.0, 4.0])  # 1/s on x, y, yaw: below the wheel loops' 10 rad/s; not tuned
 TOLERANCE, TOLERANCE_YAW = 0.005, np.radians(0.3)  # m, rad: a way-point is reached
 CORNER_WAIT = 0.15  # s at most that a corner waits for its tolerance
 STOPPED, STOPPED_TURN = 0.005, 0.01  # m/s, rad/s: estimated velocity that counts as standing
-TICK = 0.010  # s between steps
-MARGIN = 1.10  # of the limits that feedback may use
 
 
 class Leg:
@@ -93,11 +90,10 @@ class Drive:
     """
 
     def __init__(self, limits: DriveLimits):
-        self._limits = limits
+        self._limits, self._law = limits, VelocityLaw(limits)
         self._legs: list[Leg] = []
         self._index = 0
         self.done = True
-        self._acceleration = self._washed = np.zeros(3)
 
     def start(self, now: float, pose: Array, route: Sequence[Sequence[float]]) -> None:
         """Set out from the fused pose along poses (x, y, yaw) in world; the last is the goal."""
@@ -151,28 +147,13 @@ class Drive:
         leg = self._legs[self._index]
         reference, _, _ = leg.at(now)
         _, speed, acceleration = leg.at(now + self._limits.dead_time)
-        world = speed + GAIN * self._error(reference, pose)
-        R_base_world = rot2(pose[2]).T
-        wanted = np.array([*(R_base_world @ world[:2]), world[2]])
-        lead = self._lead(np.array([*(R_base_world @ acceleration[:2]), acceleration[2]]))
-        return self._clipped(wanted + lead)
-
-    def _lead(self, acceleration: Array) -> Array:
-        """What must be added to a velocity, in base axes, so that the wheel loops follow it.
-
-        The inverse of their answer is 1 + L T s^2 / (T s + 1): the lag L times the acceleration,
-        washed out with T by the loops' integrators.
-        """
-        change = acceleration - self._acceleration
-        self._washed = (self._washed + change) * np.exp(-TICK / self._limits.lag_washout)
-        self._acceleration = acceleration
-        return self._limits.velocity_lag * self._washed
+        return self._law.command(pose, reference, speed, acceleration)
 
     def _next_leg(self, now: float, pose: Array, velocity: Array) -> None:
         leg = self._legs[self._index]
         if now < leg.ends:
             return
-        error = self._error(leg.goal, pose)
+        error = pose_error(leg.goal, pose)
         reached = np.hypot(*error[:2]) < TOLERANCE and abs(error[2]) < TOLERANCE_YAW
         if self.last_leg:
             still = np.hypot(*velocity[:2]) < STOPPED and abs(velocity[2]) < STOPPED_TURN
@@ -182,15 +163,3 @@ class Drive:
             self._index += 1
             goal = self._legs[self._index].goal
             self._legs[self._index] = Leg(self._limits, pose, goal, now)
-
-    @staticmethod
-    def _error(goal: Array, pose: Array) -> Array:
-        error = goal - pose
-        error[2] = wrap_angle(error[2])
-        return error
-
-    def _clipped(self, velocity: Array) -> BodyVelocity:
-        """Scaled back, in direction, to the vehicle's limits."""
-        most = [self._limits.speed, self._limits.strafe_speed, self._limits.turn_rate]
-        share = float(np.sum(np.abs(velocity) / most)) / MARGIN
-        return BodyVelocity(*(velocity / max(share, 1.0)))

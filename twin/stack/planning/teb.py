@@ -188,11 +188,27 @@ class Teb:
     def _free_end(self, pose, path, goal_yaw, obstacles) -> tuple[Array, Array]:
         """Reference and the pose at its end; the horizon is drawn in where nothing could stand."""
         still, length = obstacles[standing(obstacles)], self.options.horizon
+        still = np.ascontiguousarray(still)
         for share in (1.0, 0.8, 0.6, 0.4):
             reference, goal, whole = self._ahead(pose, path, goal_yaw, share * length)
-            if whole or room(goal, self.footprint, still) > self.options.room:
+            if whole:
                 return reference, goal
-        return self._ahead(pose, path, goal_yaw, length)[:2]
+            goal = self._headed(pose, reference, goal, still)
+            if room(goal, self.footprint, still) > self.options.room:
+                return reference, goal
+        reference, goal, _ = self._ahead(pose, path, goal_yaw, length)
+        return reference, goal
+
+    def _headed(self, pose: Array, reference: Array, goal: Array, still: Array) -> Array:
+        """Pose at the horizon, headed as the way there is driven best: ahead, reversed, as now."""
+        best, least = goal, math.inf
+        for yaw in (goal[2], goal[2] + math.pi, pose[2]):
+            _, cost = headings(reference, pose[2], yaw, self._limits, self.footprint.half, still)
+            if self.last is not None and abs(wrap_angle(yaw - self.last.nodes[-1, 2])) < 0.5:
+                cost *= self.options.keep
+            if cost < least:
+                best, least = np.array([goal[0], goal[1], float(wrap_angle(yaw))]), cost
+        return best
 
     def _ahead(
         self, pose: Array, path: Array, goal_yaw: float, horizon: float
@@ -212,11 +228,11 @@ class Teb:
 
     def _seeds(self, pose, velocity, reference, goal, obstacles) -> list[Array]:
         """Bands along the reference and its bends."""
-        bands = []
+        bands, still = [], np.ascontiguousarray(obstacles[standing(obstacles)])
         o = self.options
         wide = o.weights.room + 0.02
         for path in bent(reference, obstacles, self.footprint, wide, 0.8 * self._speed):
-            yaw = headings(path, pose[2], goal[2], self._limits)
+            yaw, _ = headings(path, pose[2], goal[2], self._limits, self.footprint.half, still)
             first = path[min(3, len(path) - 1)] - path[0]
             size = float(np.hypot(*first))
             along = rot2(pose[2]) @ velocity[:2]

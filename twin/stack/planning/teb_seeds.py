@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from twin.geometry import Array, wrap_angle
-from twin.stack.planning.clearance import AX, BY, RADIUS, VX, VY, Footprint
+from twin.stack.planning.clearance import AX, BY, RADIUS, VX, VY, Footprint, nearest
 from twin.stack.planning.teb_terms import Limits
 
 SPACING = 0.05  # m between points of the reference
@@ -21,6 +21,8 @@ WIDEST = 1.6  # m: farther round is the global planner's business
 NEAR = 0.25  # m beside the vehicle within which an obstacle may be worth passing otherwise
 BLEND = 0.6  # m along which the heading turns into the path's
 BLIND = 1.5  # what a second of reversing counts, as the sensors look ahead
+TOUCH = 100.0  # s that a metre too little of room counts
+TIGHT = 0.04  # m of room that a heading should leave
 PASSES = 50
 FEWEST = 21  # points of a reference: turning on the spot has a profile too
 LEAN = 0.9  # of the limits that a first band uses
@@ -48,13 +50,20 @@ def smoothed(values, passes):
     return out
 
 
-def headings(points: Array, start: float, goal: float, limits: Limits) -> Array:
-    """Unwrapped yaw at each point of a path, ahead, in reverse or sideways, whichever is fastest.
+def headings(
+    points: Array, start: float, goal: float, limits: Limits, half: Array, obstacles: Array
+) -> tuple[Array, float]:
+    """Unwrapped yaw at each point of a path, ahead, in reverse or sideways, and what it costs.
+
+    The cost is the time at the limits of speed, and more where the rectangle would touch: in an
+    aisle too narrow to turn round, reversing is the only way out.
 
     Args:
         points: shape (k, 2).
         start, goal: yaw at the ends, rad.
         limits: of the vehicle.
+        half: half length and half width of the footprint. Shape (2,).
+        obstacles: standing ones, rows as in `clearance`.
     """
     step = np.diff(points, axis=0)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*step.T))])
@@ -62,10 +71,11 @@ def headings(points: Array, start: float, goal: float, limits: Limits) -> Array:
         s / s[-1] if s[-1] > 0 else np.linspace(0, 1, len(s))
     )
     if s[-1] < 2 * SPACING:
-        return plain
+        return plain, _time(points, plain, limits)
     along = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     along = np.append(along, along[-1])
     best, least = plain, _time(points, plain, limits)
+    least += TOUCH * _tightness(points, plain, half, obstacles, TIGHT)
     for turned, price in ((0.0, 1.0), (math.pi, BLIND)):
         yaw = along + turned
         yaw = yaw + 2 * math.pi * round((start - yaw[0]) / (2 * math.pi))
@@ -76,10 +86,22 @@ def headings(points: Array, start: float, goal: float, limits: Limits) -> Array:
         out = np.clip((s[-1] - s) / blend, 0.0, 1.0)
         yaw = start + into * (yaw - start)
         yaw = end + out * (yaw - end)
-        time = price * _time(points, yaw, limits)
-        if time < least:
-            best, least = yaw, time
-    return best
+        cost = price * _time(points, yaw, limits)
+        if cost < least:
+            cost += TOUCH * _tightness(points, yaw, half, obstacles, TIGHT)
+        if cost < least:
+            best, least = yaw, cost
+    return best, least
+
+
+@njit(cache=True)
+def _tightness(points, yaw, half, obstacles, need):
+    """Metres by which the room falls short of `need` at the tightest point but the first."""
+    worst = 0.0
+    for i in range(1, points.shape[0]):
+        d = nearest(points[i, 0], points[i, 1], yaw[i], 0.0, half, obstacles)[0]
+        worst = max(worst, need - d)
+    return worst
 
 
 def _time(points: Array, yaw: Array, limits: Limits) -> float:

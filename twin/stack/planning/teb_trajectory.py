@@ -1,11 +1,12 @@
 """What the timed elastic band hands on: a trajectory, and the proof that it keeps its promises."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 
-from twin.geometry import Array, rot2, wrap_angle
+from twin.geometry import Array, rot2
 from twin.stack.planning.clearance import Footprint, nearest, room, standing
 from twin.stack.planning.teb_terms import (
     Limits,
@@ -46,29 +47,73 @@ class Trajectory:
         """Metres."""
         return float(np.hypot(*np.diff(self.nodes[:, :2], axis=0).T).sum())
 
+    @cached_property
     def twists(self) -> Array:
         """Twist in base of each piece. Shape (n - 1, 3)."""
         return np.array(
             [twist_between(a, b) for a, b in zip(self.nodes[:-1], self.nodes[1:], strict=True)]
         )
 
+    @cached_property
+    def _velocities(self) -> Array:
+        """Velocity in world at each node. Shape (n, 3)."""
+        start = np.array([*(rot2(self.nodes[0, 2]) @ self.velocity[:2]), self.velocity[2]])
+        return node_velocities(self.nodes, start)
+
+    @cached_property
+    def _knots(self) -> tuple[Array, Array]:
+        """Times from the start, and velocities in base between which is interpolated."""
+        times = self.nodes[:, 3]
+        middles = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]])
+        return middles, np.vstack([self.velocity, self.twists, np.zeros(3)])
+
+    def touch(
+        self, phase: float, footprint: Footprint, obstacles: Array, need: float = 0.0
+    ) -> float:
+        """Seconds from `phase` on until the room falls below `need` m; inf if it never does.
+
+        Args:
+            phase: s from the start.
+            footprint: of the vehicle.
+            obstacles: rows as in `clearance`, where they are at `phase`.
+            need: m.
+        """
+        return float(
+            first_touch(
+                self.nodes, self._velocities, footprint.half, np.ascontiguousarray(obstacles),
+                phase, need, STEP, STEP_TURN,
+            )
+            - phase
+        )  # fmt: skip
+
     def at(self, now: float) -> tuple[Array, Array]:
-        """Pose in world and velocity in base at a time; at rest past the end. Shapes (3,).
+        """Pose in world and velocity in base at a time; at rest past the end. Shapes (3,)."""
+        return self.motion(now - self.began)[:2]
+
+    def motion(self, phase: float) -> tuple[Array, Array, Array]:
+        """Pose in world, velocity and its rate of change in base, `phase` s after the start.
 
         The pose runs smoothly through the nodes. The velocity is interpolated between the middles
         of the pieces: the limits, which are convex, hold for it too. (The pose's own rate of change
         passes them by a few per cent where the velocity bends sharply.)
         """
-        t = min(max(now - self.began, 0.0), self.duration)
-        times, twists = self.nodes[:, 3], self.twists()
-        i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
-        part = (t - times[i]) / (times[i + 1] - times[i])
-        start = np.array([*(rot2(self.nodes[0, 2]) @ self.velocity[:2]), self.velocity[2]])
-        pose = np.array(between(self.nodes, node_velocities(self.nodes, start), i, part))
-        pose[2] = wrap_angle(pose[2])
-        middles = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]])
-        known = np.vstack([self.velocity, twists, np.zeros(3)])
-        return pose, np.array([np.interp(t, middles, known[:, k]) for k in range(3)])
+        t = min(max(phase, 0.0), self.duration)
+        return _motion(self.nodes, self._velocities, *self._knots, t)
+
+
+@njit(cache=True)
+def _motion(nodes, velocities, middles, known, t):
+    """Pose, velocity and rate of change of the velocity at a time from the start."""
+    i = min(max(np.searchsorted(nodes[:, 3], t, side="right") - 1, 0), nodes.shape[0] - 2)
+    part = (t - nodes[i, 3]) / (nodes[i + 1, 3] - nodes[i, 3])
+    x, y, yaw = between(nodes, velocities, i, part)
+    yaw -= 2 * np.pi * np.ceil((yaw - np.pi) / (2 * np.pi))
+    pose = np.array([x, y, yaw])
+    k = min(max(np.searchsorted(middles, t, side="right") - 1, 0), middles.shape[0] - 2)
+    rate = (known[k + 1] - known[k]) / max(middles[k + 1] - middles[k], 1e-9)
+    if t >= nodes[-1, 3]:
+        return pose, np.zeros(3), np.zeros(3)
+    return pose, known[k] + (t - middles[k]) * rate, rate
 
 
 @njit(cache=True)
@@ -140,6 +185,35 @@ def least_room(nodes, start, half, obstacles, step, step_turn, first=0):
             if d < worst[0]:
                 worst = (d, which, x, y, yaw, t)
     return worst
+
+
+@njit(cache=True)
+def first_touch(nodes, velocities, half, obstacles, phase, need, step, step_turn):
+    """Earliest time, s from the start, at which a band comes nearer than `need`; inf if never.
+
+    Args:
+        nodes: shape (n, 4).
+        velocities: in world at the nodes. Shape (n, 3).
+        half: half length and half width of the footprint. Shape (2,).
+        obstacles: rows as in `clearance`, where they are at `phase`. Shape (m, 7).
+        phase: from where on to look, s.
+        need: m of room.
+        step, step_turn: m, rad between the poses that are looked at.
+    """
+    for i in range(nodes.shape[0] - 1):
+        a, b = nodes[i], nodes[i + 1]
+        if b[3] <= phase:
+            continue
+        way = np.hypot(b[0] - a[0], b[1] - a[1]) / step
+        pieces = max(int(np.ceil(max(way, abs(b[2] - a[2]) / step_turn))), 1)
+        for k in range(pieces + 1):
+            t = a[3] + k / pieces * (b[3] - a[3])
+            if t < phase:
+                continue
+            x, y, yaw = between(nodes, velocities, i, k / pieces)
+            if nearest(x, y, yaw, t - phase, half, obstacles)[0] < need:
+                return t
+    return np.inf
 
 
 def fault(

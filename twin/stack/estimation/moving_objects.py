@@ -1,0 +1,162 @@
+"""What moves among what the lidar sees off the map: clusters followed at constant velocity.
+
+Scan points are cut into clusters where neighbouring beams jump; a Kalman filter follows each. A
+cluster's middle wanders as the vehicle sees another side of it, so an object counts as moving only
+when it is fast enough and has come some way.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.geometry import Array
+
+POSITION, VELOCITY = slice(0, 2), slice(2, 4)  # m, m/s in world
+
+
+@dataclass(frozen=True)
+class MovingOptions:
+    """Not tuned, but where a reason is given."""
+
+    gap: float = 0.25  # m between neighbouring points that belong together
+    fewest: int = 4  # points of a cluster
+    longest: float = 1.6  # m: larger ones are no carts
+    gate: float = 0.5  # m from where it is expected: 0.1 s of 2 m/s and the middle's wander
+    noise: float = 0.04  # m, 1 sigma of a cluster's middle
+    push: float = 1.0  # m/s^2, 1 sigma of an object's acceleration
+    start_speed: float = 1.0  # m/s, 1 sigma at birth
+    speed: float = 0.15  # m/s from which it moves
+    way: float = 0.20  # m that it must have come
+    hits: int = 4  # scans that must have seen it
+    rest: float = 0.06  # m/s below which it has stopped
+    memory: float = 1.0  # s for which one out of sight is expected to go on
+    behind: float = 0.15  # m by which it is taken larger than what is seen of it
+
+
+@dataclass
+class MovingObject:
+    """A cluster that is followed."""
+
+    mean: Array  # (4,)
+    covariance: Array  # (4, 4)
+    stamp: float  # of the mean
+    born: Array  # (2,) where it was first seen
+    points: Array = field(default_factory=lambda: np.zeros((0, 2)))  # last seen, about the middle
+    hits: int = 1
+    seen: float = 0.0  # s, when last
+    moves: bool = False
+
+    @property
+    def speed(self) -> float:
+        return float(np.hypot(*self.mean[VELOCITY]))
+
+    def predict(self, stamp: float, push: float) -> None:
+        """Go on to a later time."""
+        dt = stamp - self.stamp
+        if dt <= 0:
+            return
+        F = np.eye(4)
+        F[0, 2] = F[1, 3] = dt
+        G = np.array([0.5 * dt * dt, dt])
+        Q = push**2 * np.kron(np.outer(G, G), np.eye(2))
+        self.mean = F @ self.mean
+        self.covariance = F @ self.covariance @ F.T + Q
+        self.stamp = stamp
+
+    def update(self, middle: Array, noise: float) -> None:
+        """Take a middle that was measured at `stamp`."""
+        S = self.covariance[POSITION, POSITION] + noise**2 * np.eye(2)
+        K = np.linalg.solve(S, self.covariance[POSITION]).T
+        self.mean = self.mean + K @ (middle - self.mean[POSITION])
+        self.covariance = self.covariance - K @ self.covariance[POSITION]
+
+    def row(self, now: float, behind: float) -> Array:
+        """As an obstacle of `planning.clearance`: a capsule about what is seen of it. Shape (7,)."""
+        centre = self.mean[POSITION] + self.mean[VELOCITY] * (now - self.stamp)
+        spread = self.points - 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        axis = np.linalg.eigh(spread.T @ spread + 1e-9 * np.eye(2))[1][:, 1]
+        along, across = spread @ axis, spread @ np.array([-axis[1], axis[0]])
+        half = max(float(np.abs(along).max()), 0.05)
+        radius = max(float(np.abs(across).max()), 0.05) + behind
+        reach = max(half - 0.5 * radius, 0.0) * axis
+        return np.array([*(centre - reach), *(centre + reach), radius, *self.mean[VELOCITY]])
+
+
+def clusters(points: Array, gap: float, fewest: int) -> list[Array]:
+    """Points (n, 2) in the order of the beams, cut where neighbours are farther than `gap` apart."""
+    if len(points) < fewest:
+        return []
+    cuts = np.nonzero(np.hypot(*np.diff(points, axis=0).T) > gap)[0] + 1
+    return [part for part in np.split(points, cuts) if len(part) >= fewest]
+
+
+class MovingObjects:
+    """Follows what stands off the map.
+
+    Args:
+        options: of clusters and filter.
+    """
+
+    def __init__(self, options: MovingOptions | None = None):
+        self.options = options or MovingOptions()
+        self.objects: list[MovingObject] = []
+
+    def update(self, stamp: float, points: Array) -> None:
+        """Take the points (n, 2) of a scan that lie off the map, in world, in the beams' order."""
+        o = self.options
+        for each in self.objects:
+            each.predict(stamp, o.push)
+        seen = [c for c in clusters(points, o.gap, o.fewest) if np.ptp(c, axis=0).max() < o.longest]
+        middles = np.array([0.5 * (c.min(axis=0) + c.max(axis=0)) for c in seen]).reshape(-1, 2)
+        free = set(range(len(seen)))
+        if self.objects and seen:
+            places = np.array([each.mean[POSITION] for each in self.objects])
+            far = np.hypot(*(places[:, None] - middles[None]).transpose(2, 0, 1))
+            for flat in np.argsort(far, axis=None):
+                i, j = divmod(int(flat), len(seen))
+                if far[i, j] > o.gate:
+                    break
+                each = self.objects[i]
+                if j not in free or each.seen == stamp:
+                    continue
+                free.discard(j)
+                each.update(middles[j], o.noise)
+                each.points, each.seen = seen[j] - middles[j], stamp
+                each.hits += 1
+                self._judge(each)
+        start = np.diag([o.noise**2] * 2 + [o.start_speed**2] * 2)
+        for j in sorted(free):
+            mean = np.array([*middles[j], 0.0, 0.0])
+            self.objects.append(
+                MovingObject(mean, start.copy(), stamp, middles[j], seen[j] - middles[j], 1, stamp)
+            )
+        self.objects = [
+            each
+            for each in self.objects
+            if stamp - each.seen <= (o.memory if each.hits >= o.hits else 0.35 * o.memory)
+        ]
+
+    def _judge(self, each: MovingObject) -> None:
+        o = self.options
+        if each.moves:
+            if each.speed < o.rest:
+                each.moves, each.born = False, each.mean[POSITION].copy()
+            return
+        sigma = float(np.sqrt(np.trace(each.covariance[VELOCITY, VELOCITY])))
+        come = float(np.hypot(*(each.mean[POSITION] - each.born)))
+        each.moves = each.hits >= o.hits and each.speed > max(o.speed, 2 * sigma) and come > o.way
+
+    def obstacles(self, now: float) -> Array:
+        """Those that move, rows as in `planning.clearance`, where they are now. Shape (n, 7)."""
+        rows = [each.row(now, self.options.behind) for each in self.objects if each.moves]
+        return np.array(rows).reshape(-1, 7)
+
+    def near_moving(self, stamp: float, points: Array, margin: float) -> Array:
+        """Which of points (n, 2) in world belong to something that moves. Shape (n,), bool."""
+        out = np.zeros(len(points), dtype=bool)
+        for each in self.objects:
+            if each.moves and len(points):
+                centre = each.mean[POSITION] + each.mean[VELOCITY] * (stamp - each.stamp)
+                reach = float(np.hypot(*each.points.T).max()) + margin
+                out |= np.hypot(*(points - centre).T) < reach
+        return out

@@ -1,0 +1,414 @@
+"""From a goal to body velocities, by map and sensors (Li & An 2025, section 2.2).
+
+A* finds the way on the inflated map with the live obstacles, the timed elastic band drives along it
+and round what moves, and a follower keeps to the band. Each new reading is checked against the way
+ahead; what would be hit within the stopping distance stops the vehicle. Without a plan recovery
+takes over. A drive ends at its goal, or standing and saying why.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.geometry import Array, wrap_angle
+from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFrame
+from twin.stack.config import StackConfig
+from twin.stack.estimation.obstacle_layer import ObstacleLayer
+from twin.stack.estimation.site_map import SiteMap
+from twin.stack.planning import astar
+from twin.stack.planning.clearance import (
+    RADIUS,
+    Footprint,
+    no_obstacles,
+    room,
+    room_back,
+    room_to_turn,
+)
+from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
+from twin.stack.planning.recovery import Recovery, Stage
+from twin.stack.planning.teb import Teb
+from twin.stack.planning.tracking import TrajectoryFollower, pose_error
+
+
+@dataclass(frozen=True)
+class NavigatorOptions:
+    """Not tuned, but where a reason is given."""
+
+    margin: float = 0.04  # m about the vehicle on the inflated map: the band keeps as much
+    path_period: float = 0.8  # s between looks for a better way
+    better: float = 0.85  # of the old way's cost at which a new one is taken
+    band_period: float = 0.2  # s between bands
+    retry: float = 0.4  # s between tries of a vehicle that stands without a plan
+    beside: float = 1.4  # m beside the way within which obstacles count
+    astray: float = 0.10  # m off the reference at which the next band starts from the pose
+    astray_turn: float = 0.15  # rad likewise
+    closing: float = 1.0  # s before the end from which a good band is not replaced
+    touch: float = 0.015  # m of room below which the way ahead is not free
+    reaction: float = 0.25  # s added to the stopping time: sensors' latency and period
+    patience: float = 2.0  # s without a plan until recovery
+    patience_moving: float = 6.0  # s likewise while something moves near by
+    tolerance: float = 0.008  # m of the estimate at a reached goal
+    tolerance_yaw: float = math.radians(0.4)
+    still: float = 0.01  # m/s and rad/s that count as standing
+    settle: float = 2.0  # s at the end of a band for the tolerance
+    tries: int = 4  # to come within it
+    keep: float = 1.2  # m within which recovery forgets nothing: out of the camera's picture
+
+
+class Navigator:
+    """Drives to one goal at a time.
+
+    Args:
+        config: the stack's belief.
+        floor_map: what stands in the way of the vehicle.
+        options: how it is done.
+    """
+
+    def __init__(
+        self, config: StackConfig, floor_map: SiteMap, options: NavigatorOptions | None = None
+    ):
+        self.options = options or NavigatorOptions()
+        self.footprint = Footprint()
+        by = 2 * self.options.margin
+        self._wide = Footprint(self.footprint.length + by, self.footprint.width + by)
+        self.layer = ObstacleLayer(config)
+        self.teb = Teb(config.drive, self.footprint)
+        self.follower = TrajectoryFollower(config.drive)
+        self.recovery = Recovery()
+        self.events: list[str] = []
+        self.active, self.outcome = False, ""
+        self.replans = self.recoveries = 0  # of this goal
+        self._speed = config.drive.speed
+        self._outcomes: list[tuple[str, str]] = []
+        self._goal: Goal | None = None
+        self.set_map(floor_map, unknown_ok=False)
+        self._reset()
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def set_map(self, site_map: SiteMap, unknown_ok: bool) -> None:
+        """Drive by another map from now on; unknown cells may be crossed or not."""
+        self._map, self._unknown_ok = site_map, unknown_ok
+        self.layer.set_map(site_map.states, site_map.resolution, site_map.origin)
+        self._costmap: Costmap | None = None
+
+    def go(self, now: float, goal: Goal) -> str:
+        """Set out for a goal; another one under way is dropped.
+
+        Returns:
+            Empty, or in one line why it is refused; then nothing is changed but the outcome of a
+            vehicle that has nothing to do.
+        """
+        why = self._refusal(goal)
+        if why:
+            self.events.append(f"{goal.name}: {why}")
+            if not self.active:
+                self.outcome = why
+                self._outcomes.append((goal.name, why))
+            return why
+        if self.active:
+            self.cancel()
+        self._reset()
+        self._goal, self._pose_goal = goal, np.array(goal.pose, dtype=float)
+        self._pose_goal[2] = wrap_angle(self._pose_goal[2])
+        self.active, self.outcome = True, ""
+        self.replans = self.recoveries = 0
+        self.events.append(f"on the way to {goal.name}")
+        return ""
+
+    def cancel(self) -> None:
+        """Give the goal up and come to rest."""
+        if self.active:
+            self._end("cancelled")
+
+    def _refusal(self, goal: Goal) -> str:
+        pose = np.asarray(goal.pose, dtype=float)
+        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+            return f"refused: goal {goal.pose} is not a finite x, y, yaw"
+        drawn = inflate(self._map.states, self._map.resolution, self._map.origin, self.footprint)
+        at = f"goal ({pose[0]:.2f}, {pose[1]:.2f})"
+        if drawn.cell(pose) is None:
+            return f"refused: {at} lies off the map"
+        if drawn.cost(pose) == LETHAL or not drawn.fits(pose, self.footprint):
+            return f"refused: at {at} the vehicle would stand in an obstacle"
+        if drawn.cost(pose) == UNKNOWN and not self._unknown_ok:
+            return f"refused: {at} lies on unknown ground"
+        return ""
+
+    def hear(self, reading: LidarScan | RgbdFrame, pose_at_exposure: Array | None) -> None:
+        """Take a scan or a depth picture, and the localised pose at its exposure."""
+        if self.layer.hear(reading, pose_at_exposure) is None:
+            self._fresh, self._stale_costs = True, True
+
+    @property
+    def approaching(self) -> bool:
+        """Whether the band under way ends at the goal."""
+        return self.active and self._final and self.follower.trajectory is not None
+
+    def remaining_time(self, now: float) -> float:
+        """Seconds to the goal: of the band, and at full speed for what lies beyond it."""
+        if not self.active or self.follower.trajectory is None:
+            return math.inf if self.active else 0.0
+        if self._final:
+            return self.follower.remaining
+        end = self.follower.trajectory.nodes[-1, :2]
+        rest = self._path[int(np.argmin(np.hypot(*(self._path - end).T))) :]
+        return (
+            self.follower.remaining + float(np.hypot(*np.diff(rest, axis=0).T).sum()) / self._speed
+        )
+
+    @property
+    def state(self) -> NavigationState:
+        """For the record."""
+        trajectory = self.follower.trajectory
+        return NavigationState(
+            self._goal.name if self._goal is not None and self.active else "",
+            tuple(self._outcomes),
+            self._path,
+            np.zeros((0, 3)) if trajectory is None else trajectory.nodes[:, :3],
+            self.recovery.stage.value if self.recovery.active else "",
+        )
+
+    # --- every tick ------------------------------------------------------------------------------
+
+    def step(self, now: float, pose: Array, velocity: Array) -> BodyVelocity:
+        """Command of this tick.
+
+        Args:
+            now: s.
+            pose: localised x, y, yaw in world.
+            velocity: vx, vy, omega in base.
+        """
+        if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(velocity))):
+            return BodyVelocity()
+        if not self.active:
+            return self._coming_to_rest(pose)
+        if self.recovery.active:
+            return self._recover(now, pose)
+        if self._fresh:
+            self._fresh = False
+            self._look_ahead(now)
+        if self._brake and self.follower.stopped and self.follower.rate == 0.0:
+            self.follower.stop()
+            self.teb.reset()
+            self._brake, self._due = False, now
+        if self.follower.trajectory is not None and self.follower.remaining == 0.0:
+            self._at_end(now, pose, velocity)
+            if not self.active:
+                return BodyVelocity()
+        if now >= self._due:
+            self._plan(now, pose, velocity)
+        return self.follower.step(pose, self._brake)
+
+    def _coming_to_rest(self, pose: Array) -> BodyVelocity:
+        if self.follower.trajectory is None:
+            return BodyVelocity()
+        command = self.follower.step(pose, brake=True)
+        if self.follower.stopped:
+            self.follower.stop()
+        return command
+
+    def _look_ahead(self, now: float) -> None:
+        """Check the way ahead against what is known now: go on, plan anew, or stop."""
+        trajectory = self.follower.trajectory
+        self._brake = False
+        if trajectory is None:
+            return
+        here, _ = self.follower.reference
+        near = self._obstacles(now, trajectory.nodes[:, :2], here)
+        touch = trajectory.touch(self.follower.phase, self.footprint, near, self.options.touch)
+        if touch == math.inf:
+            return
+        # At a steady pace the band takes half the stopping time for the stopping distance.
+        if touch < 0.5 * self.follower.stopping_time() + self.options.reaction:
+            self._brake = True
+        self._due, self._in_the_way = now, True
+
+    def _at_end(self, now: float, pose: Array, velocity: Array) -> None:
+        """Where the band has ended: reached, still settling, or on with another band."""
+        o = self.options
+        if self._ended is None:
+            self._ended = now
+        off = pose_error(self._pose_goal, pose)
+        away, turn = float(np.hypot(*off[:2])), abs(float(off[2]))
+        if not self._final:
+            self._due, self._ended = now, None
+        elif away < o.tolerance and turn < o.tolerance_yaw and np.abs(velocity).max() < o.still:
+            self._end("reached")
+        elif now - self._ended > o.settle or away > 3 * o.astray:
+            self._tries += 1
+            if self._tries >= o.tries:
+                self._end(f"stopped {1e3 * away:.0f} mm and {math.degrees(turn):.1f} deg off")
+                return
+            self.follower.stop()
+            self.teb.reset()
+            self._due, self._ended = now, None
+
+    # --- planning --------------------------------------------------------------------------------
+
+    def _plan(self, now: float, pose: Array, velocity: Array) -> bool:
+        """A new band, along a new way where the old one is blocked. Whether there is one."""
+        o = self.options
+        moving_on = self.follower.trajectory is not None
+        closing = moving_on and self._final and self.follower.remaining < o.closing
+        if closing and not self._in_the_way:
+            self._due = now + o.band_period
+            return True
+        start, speed = self._start(pose, velocity)
+        reason = self._find_path(now, start)
+        if not reason:
+            near = self._obstacles(now, self._path, start)
+            plan = self.teb.plan(now, start, speed, self._path, self._pose_goal[2], near)
+            reason = plan.reason
+            if plan.trajectory is not None:
+                if self.follower.trajectory is not plan.trajectory:
+                    self._take(now, plan.trajectory, start)
+                self._brake = self._in_the_way = False
+                self._due, self._blocked_since, self._ended = now + o.band_period, None, None
+                return True
+        self._without_plan(now, pose, reason)
+        return False
+
+    def _take(self, now: float, trajectory, start: Array) -> None:
+        if trajectory.began == now:
+            self.follower.start(trajectory)
+        off = pose_error(self._pose_goal, trajectory.nodes[-1, :3])
+        self._final = bool(np.hypot(*off[:2]) < 1e-3 and abs(off[2]) < 1e-3)
+
+    def _start(self, pose: Array, velocity: Array) -> tuple[Array, Array]:
+        """Where the next band starts: on the reference, so that it goes on smoothly, if near."""
+        if self.follower.trajectory is None:
+            return np.array(pose, dtype=float), np.zeros(3)
+        reference, speed = self.follower.reference
+        off = pose_error(reference, pose)
+        if np.hypot(*off[:2]) < self.options.astray and abs(off[2]) < self.options.astray_turn:
+            return reference, speed
+        return np.array(pose, dtype=float), np.array(velocity, dtype=float)
+
+    def _find_path(self, now: float, start: Array) -> str:
+        """Keep the way or find a new one; why there is none, in one line."""
+        o, costs = self.options, self._costs()
+        left = self._left_of_path(start)
+        blocked = len(left) == 0 or astar.blocked(costs, left)
+        if not blocked and now < self._path_due:
+            return ""
+        self._path_due = now + o.path_period
+        try:
+            found = astar.plan(costs, start, self._pose_goal, unknown=self._unknown_ok)
+        except astar.NoPath as error:
+            if not blocked:
+                return ""
+            self._path = np.zeros((0, 2))
+            return str(error)
+        if blocked and len(self._path):
+            self.replans += 1
+            self.events.append("the way is blocked: another one is taken")
+        if blocked or self._cost(costs, found.xy) < o.better * self._cost(costs, left):
+            self._path = found.xy
+        return ""
+
+    def _left_of_path(self, start: Array) -> Array:
+        """The way from the point nearest to the start on. Shape (n, 2)."""
+        if len(self._path) == 0:
+            return self._path
+        far = np.hypot(*(self._path - start[:2]).T)
+        k = int(np.argmin(far))
+        return self._path[k:] if far[k] < 0.6 else self._path[:0]
+
+    @staticmethod
+    def _cost(costs: Costmap, xy: Array) -> float:
+        """Weighted length of a way, m, as A* counts it."""
+        step = np.hypot(*np.diff(xy, axis=0).T)
+        weight = np.array([1.0 + 3.0 * min(costs.cost(p), 252) / 252 for p in xy[1:]])
+        return float(step @ weight)
+
+    def _without_plan(self, now: float, pose: Array, reason: str) -> None:
+        """No band: the last one is driven on while it is free, then stop, wait, recover."""
+        o = self.options
+        if self._blocked_since is None:
+            self._blocked_since = now
+        if self.follower.trajectory is not None and not self._in_the_way:
+            self._due = now + o.band_period
+            self._brake = self._brake or self.follower.remaining < self.follower.stopping_time()
+            return
+        self._due = now + (o.retry if self.follower.trajectory is None else o.band_period)
+        if self.follower.trajectory is not None:
+            return
+        moving = len(self.layer.moving.obstacles(now)) > 0
+        if now - self._blocked_since > (o.patience_moving if moving else o.patience):
+            self.recoveries += 1
+            self.recovery.start(now, pose, reason)
+
+    def _recover(self, now: float, pose: Array) -> BodyVelocity:
+        near = self._costs().obstacles(pose, 2.0)
+        near = np.vstack([_shrunk(near, pose, self.footprint), self.layer.moving.obstacles(now)])
+        turn = room_to_turn(pose, self.footprint, near)
+        back = room_back(pose, self.footprint, near)
+        step = self.recovery.step(now, pose, self._recovered, turn, back)
+        self._recovered = False
+        if step.event:
+            self.events.append(step.event)
+        if step.clear_map:
+            self.layer.forget(pose, self.options.keep)
+            self._stale_costs = True
+        if step.replan:
+            self._blocked_since = now  # or it would start recovery again
+            self._recovered = self._plan(now, pose, np.zeros(3))
+        if step.stage is Stage.GIVEN_UP:
+            self._end(self.recovery.reason)
+        if step.stage is Stage.RECOVERED:
+            self._blocked_since = None
+        return step.velocity
+
+    # --- inside ----------------------------------------------------------------------------------
+
+    def _costs(self) -> Costmap:
+        """The inflated map with the live obstacles."""
+        if self._costmap is None or self._stale_costs:
+            self._costmap = inflate(
+                self.layer.states(), self._map.resolution, self._map.origin, self._wide
+            )
+            self._stale_costs = False
+        return self._costmap
+
+    def _obstacles(self, now: float, way: Array, start: Array) -> Array:
+        """Rows as in `clearance` of what stands beside a way, and of what moves."""
+        way = np.vstack([start[:2], way]) if len(way) else start[None, :2]
+        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+        way = way[s <= self.teb.options.horizon + 1.0]
+        standing = self._costs().obstacles_along(way, self.options.beside)
+        standing = _shrunk(standing, start, self.footprint)
+        return np.vstack([standing, self.layer.moving.obstacles(now)])
+
+    def _end(self, outcome: str) -> None:
+        assert self._goal is not None
+        self.active, self.outcome = False, outcome
+        self._outcomes.append((self._goal.name, outcome))
+        self.events.append(f"{self._goal.name}: {outcome}")
+        self.recovery = Recovery()
+        self.teb.reset()
+        if self.follower.stopped:
+            self.follower.stop()
+
+    def _reset(self) -> None:
+        self._path = np.zeros((0, 2))
+        self._due = self._path_due = -math.inf
+        self._brake = self._in_the_way = self._final = self._recovered = False
+        self._fresh, self._stale_costs, self._tries = False, True, 0
+        self._blocked_since: float | None = None
+        self._ended: float | None = None
+        self.teb.reset()
+
+
+def _shrunk(obstacles: Array, pose: Array, footprint: Footprint) -> Array:
+    """Obstacles cut back to where the vehicle is not: it stands there, so they do not.
+
+    Cells are coarse and poses err; a few centimetres of a wall may seem to reach into the vehicle.
+    """
+    out = obstacles.copy() if len(obstacles) else no_obstacles()
+    for k in range(len(out)):
+        free = room(pose, footprint, out[k : k + 1])
+        if free < 0.01:
+            out[k, RADIUS] = max(out[k, RADIUS] + free - 0.01, 0.0)
+    return out
