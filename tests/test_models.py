@@ -76,7 +76,11 @@ def test_mounts_and_cameras_are_the_drawing():
         np.testing.assert_allclose(data.xmat[mount].reshape(3, 3), T[:3, :3], atol=1e-9)
     lidar = model.site("agv/lidar").id
     np.testing.assert_allclose(data.site_xpos[lidar], config.T_base_lidar[:3, 3])
-    drawn: list[tuple[str, Camera]] = [("mast_camera", config.camera), ("rgbd", config.rgbd)]
+    drawn: list[tuple[str, Camera]] = [
+        ("mast_camera", config.camera),
+        ("rgbd", config.rgbd),
+        ("tag_camera", config.tag_camera),
+    ]
     for name, camera in drawn:
         c = model.camera(f"agv/{name}").id
         T = camera.T_base_camera @ FLIP

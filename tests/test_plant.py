@@ -18,6 +18,7 @@ RATES = {
     ("LidarScan", None): (0.100, 0.030),
     ("CameraFrame", None): (0.050, 0.040),
     ("RgbdFrame", None): (0.100, 0.050),
+    ("FloorFrame", None): (0.050, 0.030),
     ("ArmReading", 0): (0.010, 0.004),
     ("ArmReading", 1): (0.010, 0.004),
     ("GripperReading", 0): (0.010, 0.004),

@@ -105,9 +105,8 @@ def add_printed(spec: mujoco.MjSpec, name: str, texture: NDArray[np.uint8]) -> s
         width=texture.shape[1],
         nchannel=3,
     )
-    # MuJoCo lays the first row of a texture along the box's +x edge (found so; a test holds it).
-    laid = np.rot90(texture, 1)[::-1]
-    image.data = np.repeat(laid[:, :, None], 3, axis=2).tobytes()
+    # MuJoCo lays the first row along the box's upper edge (+y), from -x to +x.
+    image.data = np.repeat(texture[:, :, None], 3, axis=2).tobytes()
     material = spec.add_material(name=name, specular=0.05, shininess=0.05)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     return name
