@@ -53,4 +53,4 @@ def _print_number(rack: mujoco.MjSpec, number: int) -> None:
     cv2.putText(plate, text, corner, font, scale, (20, 20, 20), stroke, cv2.LINE_AA)
     texture = rack.texture("number")
     texture.width, texture.height, texture.nchannel = columns, rows, 3
-    texture.data = plate[::-1].tobytes()  # MuJoCo counts rows from below
+    texture.data = plate.tobytes()
