@@ -1,15 +1,23 @@
-"""The stack: readings in, commands out, wired in order."""
+"""The stack: readings in, commands out, wired in order.
 
-from collections.abc import Sequence
+What it does is said by the order that it gets over the plant's network; `MISSIONS` names the
+behaviour tree of each kind.
+"""
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from twin.geometry import Array, compose2
 from twin.messages import (
     ArmReading,
+    BodyVelocity,
     CameraFrame,
     Commands,
     Detection,
+    Goal,
     GripperReading,
+    LidarScan,
     Order,
     Reading,
     RgbdFrame,
@@ -20,13 +28,20 @@ from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
 from twin.stack.detection.tracker import Tracker
 from twin.stack.estimation.distance import DistanceToPick
-from twin.stack.estimation.fusion import FusedOdometry
+from twin.stack.estimation.localiser import Localiser
+from twin.stack.estimation.mapper import Mapper
 from twin.stack.estimation.odometry import WheelOdometry
-from twin.stack.grasping.intercept import arm_start_delay
+from twin.stack.estimation.site_map import floor_map
 from twin.stack.planning.drive import Drive
+from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.arm_worker import ArmWorker
-from twin.stack.tasks.mission import Act, running, sequence, together
+from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
+from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
+
+MISSIONS = {
+    Order: pick_mission,
+}
 
 
 class Stack:
@@ -40,20 +55,24 @@ class Stack:
         self.config = config
         start = np.asarray(config.site.dock, dtype=float)
         self.odometry = WheelOdometry(config.wheels, start)
-        self.fused = FusedOdometry(config, start)
+        self.localiser = Localiser(config, start)
+        self.mapper: Mapper | None = None  # takes the localiser's place while mapping
+        self.navigator = Navigator(config, floor_map(config.site))
+        self.drive = Drive(config.drive)  # straight legs, without looking
         self.detector = ContourDetector(config)
         self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
-        self.drive = Drive(config.drive)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))
         self.picker = Picker(config, self.arms[: config.options.arms])
-        self.order: Order | None = None
+        self.order: Reading | None = None
+        self.on_picture: Callable[[CameraFrame], None] | None = None  # who wants the mast camera
         self.now = 0.0
-        self._pose = start
+        self.pose = start  # in world
+        self.odom = start  # fused odometry, anchored in world by `anchor`
+        self._anchor = np.zeros(3)  # world from odom, held still while parts are tracked
         self._detections: tuple[Detection, ...] = ()
         self._detections_stamp = -1.0
-        self._arms_sent = False
-        self._tree = self._mission()
+        self._tree: Behaviour = Act("fetch order", lambda: self.order is not None)
         self.state = self._snapshot(())
 
     # --- the tick --------------------------------------------------------------------------------
@@ -66,17 +85,23 @@ class Stack:
             readings: what has arrived since the last one.
         """
         self.now = stamp
-        self.fused.step(readings)
-        self._pose = self.fused.pose(stamp)
+        self.localiser.step(stamp, readings)
         for reading in readings:
             self._hear(reading)
-        self._tree.tick_once()
-        body_velocity = self.drive.step(stamp, self._pose, self.fused.velocity)
+        fused = self.localiser.fused.pose(stamp)
+        self.odom = compose2(self._anchor, fused)
+        if self.mapper is None:
+            self.pose = self.localiser.pose(stamp)
+        else:
+            self.pose = compose2(self.mapper.world_from_odom, fused)
+        if not self.done:
+            self._tree.tick_once()
+        body_velocity = self._wheels(stamp)
         parts = self.tracker.predict(stamp)
-        self.picker.step(stamp, self._pose, parts)
+        self.picker.step(stamp, self.odom, parts)
         arms, grippers = zip(*(w.step(stamp) for w in self.arms), strict=True)
         self.state = self._snapshot(parts)
-        return Commands(body_velocity, arms, grippers, mast_camera=True)
+        return Commands(body_velocity, arms, grippers, self.on_picture is not None)
 
     def _hear(self, reading: Reading) -> None:
         if isinstance(reading, WheelState):
@@ -84,100 +109,104 @@ class Stack:
         elif isinstance(reading, GripperReading | ArmReading):
             self.arms[reading.arm].hear(reading)
         elif isinstance(reading, CameraFrame):
-            pose = self.fused.history.at(reading.stamp)
-            if pose is not None:
-                self._detections = self.detector.detect(reading, pose)
-                self._detections_stamp = reading.stamp
-                self.tracker.update(reading.stamp, self._detections, pose)
-        elif isinstance(reading, RgbdFrame) and not self.drive.done:
-            self.distance.update(reading, self.fused.history.at(reading.stamp))
-        elif isinstance(reading, Order):
+            if self.on_picture is not None:
+                self.on_picture(reading)
+        elif isinstance(reading, LidarScan | RgbdFrame):
+            self._look(reading)
+        elif type(reading) in MISSIONS and self.order is None:
             self.order = reading
+            self._tree = sequence(
+                "order",
+                Act("learn gyro bias", lambda: self.localiser.ready),
+                MISSIONS[type(reading)](self),
+            )
 
-    # --- the mission -----------------------------------------------------------------------------
+    def _look(self, reading: LidarScan | RgbdFrame) -> None:
+        pose = self.pose_at(reading.stamp)
+        if self.mapper is not None:
+            self.mapper.hear(reading, self.localiser.fused.history.at(reading.stamp))
+        self.navigator.hear(reading, pose)
+        if isinstance(reading, RgbdFrame) and not self.drive.done:
+            self.distance.update(reading, pose)
 
-    def _mission(self):
-        site = self.config.site
-        to_line, to_receiving = (site.pick_approach, site.pick), (site.pick_leave,)
-        return sequence(
-            "order",
-            together(
-                "make ready",
-                Act("fetch order", lambda: self.order is not None),
-                Act("learn gyro bias", lambda: self.fused.ready),
-            ),
-            together(
-                "go to line",
-                Act("drive to line", self._arrived, lambda: self._go(to_line)),
-                Act("ready arms", self._arms_ready, self.distance.reset),
-            ),
-            Act("pick", self._picked, self._start_picking),
-            Act(
-                "stow arms",
-                self._arms_idle,
-                lambda: [w.motion.go_stow(self.now) for w in self.arms],
-            ),
-            Act("deliver", self._arrived, lambda: self._go((*to_receiving, site.receiving))),
-            Act("done", lambda: False),
-        )
+    def _wheels(self, stamp: float) -> BodyVelocity:
+        velocity = self.localiser.velocity
+        if self.navigator.active:
+            return self.navigator.step(stamp, self.pose, velocity)
+        return self.drive.step(stamp, self.pose, velocity)
+
+    def pose_at(self, stamp: float) -> Array | None:
+        """Pose in world at a past time; None where it is not known. Shape (3,)."""
+        if self.mapper is None:
+            return self.localiser.pose_at(stamp)
+        fused = self.localiser.fused.history.at(stamp)
+        return None if fused is None else compose2(self.mapper.world_from_odom, fused)
+
+    # --- what missions are made of ---------------------------------------------------------------
 
     @property
     def done(self) -> bool:
-        """Whether the order has been handed over (or given up) and the vehicle stands."""
-        return running(self._tree) == "done"
+        """Whether the order has been carried out (or given up) and the vehicle stands."""
+        return ended(self._tree)
 
-    def _go(self, route) -> None:
-        self.drive.start(self.now, self._pose, route)
+    def go(self, goal: Goal) -> Act:
+        """Drive to a goal by the map; fails if it is given up."""
+        navigator = self.navigator
+        return Act(
+            f"drive to {goal.name}",
+            done=lambda: navigator.outcome == "reached",
+            start=lambda: navigator.go(self.now, goal),
+            failed=lambda: not navigator.active and navigator.outcome != "reached",
+        )
 
-    def _arrived(self) -> bool:
-        return self.drive.done
+    def straight(self, name: str, *route) -> Act:
+        """Drive straight from pose to pose, without looking: in to a machine and out again."""
+        return Act(
+            name,
+            done=lambda: self.drive.done,
+            start=lambda: self.drive.start(self.now, self.pose, route),
+        )
 
-    def _arms_idle(self) -> bool:
-        return all(w.free and w.motion.idle(self.now) for w in self.arms)
+    def watch_belt(self) -> None:
+        """From now on follow the parts in the mast camera's pictures, in the odometry's frame."""
+        self._anchor = np.asarray(self.localiser.world_from_odom, dtype=float).copy()
+        self.odom = compose2(self._anchor, self.localiser.fused.pose(self.now))
+        self.on_picture = self._detect
 
-    def _arms_ready(self) -> bool:
-        """Sends the arms over the belt so that they are there when the vehicle stops."""
-        if not self.config.options.grasp_timing:
-            return True
-        if not self._arms_sent and self.drive.last_leg:
-            workers = self.picker.workers
-            needed = max(w.motion.duration_to(self.now, w.motion.ready_position) for w in workers)
-            S, speed = self.distance.distance(self._pose), float(self.fused.velocity[0])
-            if arm_start_delay(S, speed, self.config.drive.acceleration, needed) <= 0.0:
-                for w in workers:
-                    w.motion.go_ready(self.now)
-                self._arms_sent = True
-        return self._arms_sent
-
-    def _start_picking(self) -> None:
-        assert self.order is not None
-        self.picker.start(self.now, self.order)
-
-    def _picked(self) -> bool:
-        if not self.picker.finished(self.now):
-            return False
-        self.picker.active = False
-        return True
+    def _detect(self, frame: CameraFrame) -> None:
+        fused = self.localiser.fused.history.at(frame.stamp)
+        if fused is None:
+            return
+        pose = compose2(self._anchor, fused)
+        self._detections = self.detector.detect(frame, pose)
+        self._detections_stamp = frame.stamp
+        self.tracker.update(frame.stamp, self._detections, pose)
 
     # --- for the record --------------------------------------------------------------------------
 
     def _snapshot(self, parts) -> StackState:
-        events = tuple(e for w in self.arms for e in w.events)
-        for w in self.arms:
-            w.events.clear()
+        speakers = (*self.arms, self.navigator, self.localiser)
+        events = tuple(e for s in speakers for e in s.events)
+        for speaker in speakers:
+            speaker.events.clear()
+        localiser = self.localiser
         return StackState(
             stamp=self.now,
-            pose=self._pose,
-            pose_covariance=self.fused.covariance,
+            pose=self.pose,
+            pose_covariance=(self.mapper or localiser).covariance,
             odometry_pose=self.odometry.pose,
-            fused_pose=self._pose,
-            velocity=self.fused.velocity,
+            fused_pose=localiser.fused.pose(self.now),
+            velocity=localiser.velocity,
             task=running(self._tree),
             tracks=parts,
             detections=self._detections,
             detections_stamp=self._detections_stamp,
             events=events,
-            distance_to_pick=self.distance.distance(self._pose),
+            distance_to_pick=self.distance.distance(self.pose),
+            particles=localiser.particles,
+            lost=localiser.lost,
+            sights=tuple(localiser.sights),
+            navigation=self.navigator.state,
             goals={
                 "wanted": float(sum(self.picker.remaining().values())),
                 "placed": float(sum(len(w.placed) for w in self.arms)),
