@@ -97,7 +97,7 @@ def test_recovered_from_a_drive(seed):
         seen = [
             observation
             for scan_, frame, moved in drive
-            for observation in observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, belief, moved, rng)
+            for observation in observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, belief, moved)
         ]
         belief = calibrate(seen, belief).T_lidar_rgbd
     shift, turn = errors(belief, true)
@@ -109,7 +109,7 @@ def test_motion_between_scan_and_picture_is_undone():
     rng = np.random.default_rng(3)
     scan_, pose = scan(ROOM, (0.3, 0.0, 0.0)), np.array([0.2, 0.05, 0.1])
     frame = picture(PLANES, CAMERA, CAMERA.T_base_camera, pose)
-    seen = observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, T_DRAWN, pose, rng)
+    seen = observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, T_DRAWN, pose)
     walls = [o for o in seen if abs(o.normal[2]) < 0.5]
     assert walls
     for wall in walls:

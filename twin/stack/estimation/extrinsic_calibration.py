@@ -5,6 +5,9 @@ Frames: *lidar*, whose x-y plane is the scan, and *rgbd*, the camera's optical f
 and the camera's points on it must lie in it. Walls in two directions tell x, y and all angles; the
 floor, below the scan by the height on the drawing, tells z. A tilt of the lidar itself moves no
 line by more than a second-order term, so what is found is the camera against a level lidar.
+
+The lidar's constant error of range is found along with the pose where walls lie on several sides:
+it moves opposite walls apart, a shift of the camera moves them alike.
 """
 
 from dataclasses import dataclass
@@ -22,6 +25,7 @@ class PlaneObservation:
     offset: float  # m
     points: Array  # (k, 3) in rgbd, m
     sigma: float = 0.02  # m, of one point across the plane
+    bias: float = 0.0  # m that the offset grows with each metre of constant error of the ranges
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Extrinsics:
     T_lidar_rgbd: Array  # (4, 4)
     covariance: Array  # (6, 6): small rotation in lidar axes, rad, then translation, m
     rms: float  # of the residuals in units of their sigma; near 1 if the belief in noise is right
+    range_offset: float = 0.0  # m that the lidar reads too far; 0 where it was not sought
 
     @property
     def angles(self) -> tuple[float, float, float]:
@@ -79,8 +84,12 @@ def calibrate(
     iterations: int = 40,
     robust: float = 3.0,
     loosest: tuple[float, float] = (0.02, 0.05),
+    range_sigma: float = 0.0,
+    range_removed: float = 0.0,
 ) -> Extrinsics:
     """Levenberg-Marquardt over the six numbers of `T_lidar_rgbd`, with Huber weights.
+
+    With `range_sigma` the lidar's constant error of range is a seventh unknown.
 
     Args:
         observations: of walls, floor and edges.
@@ -88,68 +97,84 @@ def calibrate(
         iterations: at most.
         robust: residual in sigmas from which it counts linearly.
         loosest: standard deviations, rad and m, that the result may have.
+        range_sigma: standard deviation of the lidar's constant error, by its data sheet, m.
+        range_removed: what was taken off the ranges before, m; the result includes it.
 
     Raises:
         ValueError: if there are too few points, if they are not finite, or if they leave one of
             the six numbers undetermined; the line names which.
     """
-    normals, points, offsets, sigmas = _stack(observations)
-    T = np.array(start, dtype=float)
-    damping = 1e-3
-    r, J = _residuals(T, normals, points, offsets, sigmas)
+    stacked = _stack(observations)
+    T, removed = np.array(start, dtype=float), range_removed
+    damping, free = 1e-3, slice(0, 7 if range_sigma > 0 else 6)
+
+    def linearised(T: Array, removed: float) -> tuple[Array, Array]:
+        r, J = _residuals(T, removed - range_removed, *stacked)
+        if range_sigma > 0:  # what the data sheet says counts as one more measurement
+            r = np.append(r, removed / range_sigma)
+            J = np.vstack([J, [0, 0, 0, 0, 0, 0, 1 / range_sigma]])
+        return r, J[:, free]
+
+    r, J = linearised(T, removed)
     for _ in range(iterations):
         weight = _huber(r, robust)
         H, b = (J.T * weight) @ J, (J.T * weight) @ r
-        step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(6), b)
-        trial = _moved(T, step)
-        r_trial, J_trial = _residuals(trial, normals, points, offsets, sigmas)
+        step = np.zeros(7)
+        step[free] = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(len(b)), b)
+        trial = _moved(T, step), removed + float(step[6])
+        r_trial, J_trial = linearised(*trial)
         if _cost(r_trial, robust) <= _cost(r, robust):
-            T, r, J, damping = trial, r_trial, J_trial, max(0.2 * damping, 1e-9)
+            (T, removed), r, J, damping = trial, r_trial, J_trial, max(0.2 * damping, 1e-9)
             if np.max(np.abs(step)) < 1e-9:
                 break
         else:
             damping *= 10.0
             if damping > 1e8:
                 break
-    H = (J.T * _huber(r, robust)) @ J
-    values, vectors = np.linalg.eigh(H)
+    values, vectors = np.linalg.eigh((J.T * _huber(r, robust)) @ J)
     limits = np.repeat(loosest, 3)
-    covariance = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    covariance = ((vectors / np.maximum(values, 1e-12)) @ vectors.T)[:6, :6]
     sigma = np.sqrt(np.diag(covariance))
     if np.any(sigma > limits):
         loose = ", ".join(AXES[i] for i in np.nonzero(sigma > limits)[0])
         raise ValueError(f"calibration: these walls do not determine {loose}; see others too")
-    return Extrinsics(T, covariance, float(np.sqrt(np.mean(r**2))))
+    return Extrinsics(T, covariance, float(np.sqrt(np.mean(r**2))), removed)
 
 
 def _stack(observations: list[Observation]):
     """All observations as planes: an edge is where two planes cross."""
-    normals, points, offsets, sigmas = [], [], [], []
+    normals, points, offsets, sigmas, biases = [], [], [], [], []
     for seen in observations:
         p = np.atleast_2d(np.asarray(seen.points, dtype=float))
         if isinstance(seen, PlaneObservation):
             planes = [(seen.normal, seen.offset)]
+            bias = seen.bias
         else:
             planes = [((1.0, 0.0, 0.0), seen.corner[0]), ((0.0, 1.0, 0.0), seen.corner[1])]
+            bias = 0.0
         for normal, offset in planes:
             points.append(p)
             normals.append(np.tile(np.asarray(normal, dtype=float), (len(p), 1)))
             offsets.append(np.full(len(p), float(offset)))
             sigmas.append(np.full(len(p), seen.sigma))
+            biases.append(np.full(len(p), bias))
     count = sum(len(p) for p in points)
     if count < MIN_POINTS:
         raise ValueError(f"calibration: {count} points on walls and edges, wanted {MIN_POINTS}")
-    stacked = tuple(np.concatenate(part) for part in (normals, points, offsets, sigmas))
+    stacked = tuple(np.concatenate(part) for part in (normals, points, offsets, sigmas, biases))
     if not all(np.all(np.isfinite(part)) for part in stacked):
         raise ValueError("calibration: an observation is not finite")
     return stacked
 
 
-def _residuals(T: Array, normals: Array, points: Array, offsets: Array, sigmas: Array):
-    """In sigmas, shape (n,), and their derivatives by turns (about lidar's axes) and shifts."""
+def _residuals(T: Array, further: float, normals, points, offsets, sigmas, biases):
+    """In sigmas, shape (n,), and derivatives by turns (lidar's axes), shifts and `further`.
+
+    `further` is the error of range, m, that still is in the offsets.
+    """
     rotated = points @ T[:3, :3].T
-    r = np.einsum("ij,ij->i", normals, rotated + T[:3, 3]) - offsets
-    J = np.concatenate([np.cross(rotated, normals), normals], axis=1)
+    r = np.einsum("ij,ij->i", normals, rotated + T[:3, 3]) - offsets + biases * further
+    J = np.concatenate([np.cross(rotated, normals), normals, biases[:, None]], axis=1)
     return r / sigmas, J / sigmas[:, None]
 
 

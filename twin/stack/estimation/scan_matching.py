@@ -2,7 +2,8 @@
 
 The search tries every pose of a coarse lattice (correlative matching after Olson 2009), so that a
 poor guess does not end in a wrong valley. The refinement draws the points onto the obstacles along
-the slope of the interpolated distance, each point with a weight that falls off with its distance.
+the slope of the interpolated distance, or onto their surfaces where these are known finer than the
+cells (`surfaces`), each point with a weight that falls off with its distance.
 The observation of Xu et al., Eq. 2: h(x) is the distance of each end point, which ought to be 0.
 """
 
@@ -13,6 +14,7 @@ from numba import njit
 
 from twin.geometry import Array, wrap_angle
 from twin.stack.estimation.likelihood_field import LikelihoodField
+from twin.stack.estimation.surfaces import SurfaceField
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,13 @@ class Match:
     conditioning: float
 
 
+NOWHERE, NO_SURFACES = np.zeros((0, 0), dtype=np.int32), np.zeros((0, 4))
+ALONG = 0.06  # m along a surface beyond which a point lies past its end
 FAR = 1e3  # variance (m^2, rad^2) given to what a scan does not tell at all
 
 
 def match_scan(
-    field: LikelihoodField,
+    field: LikelihoodField | SurfaceField,
     points: Array,
     guess: Array,
     settings: MatchSettings = MatchSettings(),
@@ -80,9 +84,12 @@ def match_scan(
         pose = _search(
             field.distances, frame, few, pose, settings.window, settings.step, settings.sigma
         )
-    pose, H, near, squares = _refine(
-        field.distances, frame, points, pose, settings.robust, settings.iterations, settings.inlier
-    )
+    limits = (settings.robust, settings.iterations, settings.inlier)
+    if isinstance(field, SurfaceField):
+        map_ = (field.distances, field.nearest, field.surfaces)
+    else:
+        map_ = (field.distances, NOWHERE, NO_SURFACES)
+    pose, H, near, squares = _refine(map_, frame, points, pose, limits)
     if near < 10 or not np.all(np.isfinite(pose)):
         return None
     pose[2] = wrap_angle(pose[2])
@@ -138,9 +145,11 @@ def _search(distances, frame, points, guess, window, step, sigma):
 
 
 @njit(cache=True)
-def _refine(distances, frame, points, start, scale, iterations, inlier):
+def _refine(map_, frame, points, start, limits):
     """Pose, information matrix per unit variance, number and squared distance of the inliers."""
+    distances = map_[0]
     x0, y0, resolution = frame
+    scale, iterations, inlier = limits
     h, w = distances.shape
     pose, best = start.copy(), start.copy()
     H, H_best = np.zeros((3, 3)), np.zeros((3, 3))
@@ -161,23 +170,16 @@ def _refine(distances, frame, points, start, scale, iterations, inlier):
             if not (gx >= 0 and gx < w - 1 and gy >= 0 and gy < h - 1):
                 cost += 1.0
                 continue
-            u, v = int(gx), int(gy)
-            fx, fy = gx - u, gy - v
-            d00, d10 = distances[v, u], distances[v, u + 1]
-            d01, d11 = distances[v + 1, u], distances[v + 1, u + 1]
-            low, high = d00 + fx * (d10 - d00), d01 + fx * (d11 - d01)
-            d = low + fy * (high - low)
+            d, J[0], J[1] = _distance(map_, resolution, gx, gy, rx + pose[0], ry + pose[1])
             q = d * d / (scale * scale)
             cost += q / (1 + q)  # Geman & McClure
             weight = 1.0 / (1 + q) ** 2
-            J[0] = ((1 - fy) * (d10 - d00) + fy * (d11 - d01)) / resolution
-            J[1] = (high - low) / resolution
             J[2] = -J[0] * ry + J[1] * rx
             for m in range(3):
                 b[m] += weight * J[m] * d
                 for n in range(3):
                     H[m, n] += weight * J[m] * J[n]
-            if d < inlier:
+            if abs(d) < inlier:
                 near += 1
                 squares += d * d
         if cost < cost_best:
@@ -199,6 +201,29 @@ def _refine(distances, frame, points, start, scale, iterations, inlier):
         if abs(step[0]) + abs(step[1]) + abs(step[2]) < 1e-5:
             break
     return best, H_best, near_best, squares_best
+
+
+@njit(cache=True)
+def _distance(map_, resolution, gx, gy, x, y):
+    """Distance of a point to what is nearest, and its slope in x and y."""
+    distances, nearest, surfaces = map_
+    if len(surfaces):
+        k = nearest[int(gy + 0.5), int(gx + 0.5)]
+        if k < 0:
+            return distances[int(gy), int(gx)], 0.0, 0.0
+        dx, dy = x - surfaces[k, 0], y - surfaces[k, 1]
+        nx, ny = surfaces[k, 2], surfaces[k, 3]
+        if nx * nx + ny * ny > 0.5 and abs(dx * ny - dy * nx) < ALONG:
+            return dx * nx + dy * ny, nx, ny
+        d = np.sqrt(dx * dx + dy * dy)
+        return d, dx / max(d, 1e-6), dy / max(d, 1e-6)
+    u, v = int(gx), int(gy)
+    fx, fy = gx - u, gy - v
+    d00, d10 = distances[v, u], distances[v, u + 1]
+    d01, d11 = distances[v + 1, u], distances[v + 1, u + 1]
+    low, high = d00 + fx * (d10 - d00), d01 + fx * (d11 - d01)
+    slope = ((1 - fy) * (d10 - d00) + fy * (d11 - d01)) / resolution
+    return low + fy * (high - low), slope, (high - low) / resolution
 
 
 @njit(cache=True)

@@ -1,5 +1,7 @@
 """Whether a scan can be used at all, and its beams as points."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,3 +47,8 @@ def beam_points(scan: LidarScan, max_range: float = np.inf) -> Array:
 def _usable(ranges: NDArray, longest: float) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         return (ranges > 0) & (ranges <= longest)
+
+
+def without_offset(scan: LidarScan, offset: float) -> LidarScan:
+    """The scan with a constant error of range taken off, m."""
+    return replace(scan, ranges=np.asarray(scan.ranges, dtype=float) - offset) if offset else scan

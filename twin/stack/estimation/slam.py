@@ -14,11 +14,11 @@ import numpy as np
 from twin.geometry import Array, between2, compose2, rot2, wrap_angle
 from twin.messages import LidarScan
 from twin.stack.estimation.depth_to_scan import DepthScan
-from twin.stack.estimation.likelihood_field import LikelihoodField
 from twin.stack.estimation.occupancy_grid import OccupancyGrid, SensorModel
 from twin.stack.estimation.pose_graph import Edge, PoseGraph
 from twin.stack.estimation.scan_matching import Match, MatchSettings, match_scan
-from twin.stack.estimation.scans import beam_points, scan_fault
+from twin.stack.estimation.scans import beam_points, scan_fault, without_offset
+from twin.stack.estimation.surfaces import SurfaceMap
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class SlamSettings:
     # Noise u of the odometry, added to its own covariance: per root metre and root rad.
     drift: tuple[float, float] = (0.02, 0.015)
     min_inliers: float = 0.60  # share of points that must lie on the map for a correction
+    start_inliers: float = 0.25  # share that must lie on surveyed walls to put the start right
     gate: float = 16.27  # squared Mahalanobis distance of a correction: chi-square, 3, 99.9 %
     field_limit: float = 0.5  # m, of the distance field
     max_range: float = 25.0  # m of the beams that are matched
@@ -70,6 +71,8 @@ class Slam:
         start_sigma: its standard deviations.
         lidar_in_base: x, y, yaw of the lidar in base.
         settings: of the mapper.
+        surveyed: walls whose place in world is known, x0, y0, x1, y1, m. Shape (n, 4). Scans are
+            matched to them as to the map, so that it cannot turn or drift away as a whole.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class Slam:
         start_sigma,
         lidar_in_base: Array,
         settings: SlamSettings = SlamSettings(),
+        surveyed: Array | None = None,
     ):
         self.settings = settings
         self.lidar = OccupancyGrid.covering(lower, upper, resolution)
@@ -97,7 +101,10 @@ class Slam:
         self._odometry: Array | None = None  # at the last scan
         self._since_key = np.zeros((3, 3))  # covariance of the way from the last key frame
         self._travelled, self._tried = 0.0, 0.0
-        self._field: LikelihoodField | None = None
+        grid = self.lidar
+        self._surfaces = SurfaceMap(grid.origin, resolution, grid.shape, surveyed)
+        known = surveyed is not None and len(surveyed) > 0
+        self._field = self._surfaces.field(settings.field_limit) if known else None
 
     @property
     def path(self) -> list[tuple[float, Array]]:
@@ -136,7 +143,7 @@ class Slam:
             self._add_key(scan, points)
             if self._close_loop():
                 self.redraw()
-            self._field = self._field_of(self.lidar)
+            self._renew_field()
         return True
 
     def add_depth(self, depth: DepthScan, odometry: Array) -> bool:
@@ -160,11 +167,25 @@ class Slam:
     def redraw(self) -> None:
         """Draw both maps anew from the key frames at their present poses."""
         self.lidar.log_odds[:], self.rgbd.log_odds[:] = 0.0, 0.0
+        self._surfaces.clear()
         for frame, pose in zip(self.key_frames, self.graph.poses, strict=True):
             sensor = compose2(pose, self._lidar_in_base)
             self.lidar.insert_scan(frame.scan, sensor, self.settings.lidar)
+            self._surfaces.add(compose_points(pose, frame.points))
             for depth, in_key in frame.depth:
                 self._draw_depth(depth, compose2(pose, in_key))
+
+    def correct_ranges(self, offset: float) -> None:
+        """Take a constant error of range, m, off the scans so far, and draw the maps anew."""
+        if offset == 0.0:
+            return
+        for frame in self.key_frames:
+            frame.scan = without_offset(frame.scan, offset)
+            points = beam_points(frame.scan, self.settings.max_range)
+            frame.points = compose_points(self._lidar_in_base, points)
+        self.redraw()
+        if self.key_frames:
+            self._renew_field()
 
     def _draw_depth(self, depth: DepthScan, sensor: Array) -> None:
         self.rgbd.insert_scan(depth.scan, sensor, self.settings.rgbd, depth.clear_to)
@@ -191,14 +212,16 @@ class Slam:
         """Observation model, Xu et al., Eq. 2: the pose at which the scan fits the map."""
         if self._field is None:
             return
-        match = match_scan(self._field, points, self.pose, self.settings.tracking)
-        if match is None or match.inliers < self.settings.min_inliers:
+        s = self.settings
+        wanted = s.min_inliers if self.key_frames else s.start_inliers
+        match = match_scan(self._field, points, self.pose, s.tracking)
+        if match is None or match.inliers < wanted:
             self.lost += 1
             return
         innovation = match.pose - self.pose
         innovation[2] = wrap_angle(innovation[2])
         S = self.covariance + match.covariance
-        if innovation @ np.linalg.solve(S, innovation) > self.settings.gate:
+        if innovation @ np.linalg.solve(S, innovation) > s.gate:
             self.lost += 1
             return
         self.matched += 1
@@ -226,10 +249,10 @@ class Slam:
         self._since_key = np.zeros((3, 3))
         sensor = compose2(self.pose, self._lidar_in_base)
         self.lidar.insert_scan(scan, sensor, self.settings.lidar)
+        self._surfaces.add(compose_points(self.pose, points))
 
-    def _field_of(self, grid: OccupancyGrid) -> LikelihoodField:
-        limit = self.settings.field_limit
-        return LikelihoodField(grid.occupied, grid.origin, grid.resolution, limit)
+    def _renew_field(self) -> None:
+        self._field = self._surfaces.field(self.settings.field_limit, self.lidar.occupied)
 
     def _close_loop(self) -> bool:
         """Match the newest key frame with old ones near by; True if the graph was bent."""
@@ -263,14 +286,11 @@ class Slam:
     def _match_old(self, near: int, here: int) -> Match | None:
         """The newest scan against a map of the key frames around an old one alone."""
         s = self.settings
-        local = OccupancyGrid(
-            self.lidar.origin, self.lidar.resolution, np.zeros(self.lidar.shape, np.float32)
-        )
+        local = SurfaceMap(self.lidar.origin, self.lidar.resolution, self.lidar.shape)
         for i in range(max(near - s.loop_neighbours, 0), min(near + s.loop_neighbours + 1, here)):
-            sensor = compose2(self.graph.poses[i], self._lidar_in_base)
-            local.insert_scan(self.key_frames[i].scan, sensor, s.lidar)
+            local.add(compose_points(self.graph.poses[i], self.key_frames[i].points))
         points = self.key_frames[here].points
-        return match_scan(self._field_of(local), points, self.graph.poses[here], s.closing)
+        return match_scan(local.field(s.field_limit), points, self.graph.poses[here], s.closing)
 
 
 def compose_points(pose_a_b: Array, p_b: Array) -> Array:

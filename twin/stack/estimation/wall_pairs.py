@@ -68,7 +68,6 @@ def observe_walls(
     T_base_lidar: Array,
     T_lidar_rgbd: Array,
     frame_in_scan: Array,
-    rng: np.random.Generator,
     most: int = 150,
 ) -> list[PlaneObservation]:
     """Walls and floor in one pair of readings.
@@ -79,8 +78,7 @@ def observe_walls(
         T_base_lidar: on the drawing; its height above the floor is taken for granted.
         T_lidar_rgbd: belief so far.
         frame_in_scan: x, y, yaw of the base at the picture in the base at the scan.
-        rng: draws the points of each plane.
-        most: points used of each plane.
+        most: points used of each plane, evenly spread over those that were seen.
 
     Returns:
         Planes in the lidar's frame at the picture; none for readings that are of no use.
@@ -109,13 +107,26 @@ def observe_walls(
         along = (p_lidar[:, :2] - a) @ ((b - a) / length)
         on_wall = np.abs(p_lidar @ normal - offset) < REACH
         on_wall &= (along > MARGIN) & (along < length - MARGIN) & (height > MARGIN)
-        seen += _plane(normal, offset, p_rgbd[on_wall], rng, most)
+        bias = _incidence(normal[:2], a, b)
+        seen += _plane(normal, offset, p_rgbd[on_wall], most, bias)
     floor = np.abs(height) < FLOOR_REACH + FLOOR_TURN * np.hypot(p_lidar[:, 0], p_lidar[:, 1])
     # The foot of a wall would pass for floor that rises: only floor well before it counts.
     floor &= _before_obstacles(scan, apply(inverse(T_now_scan), p_lidar))
     z_floor = -float(T_base_lidar[2, 3])
-    seen += _plane(np.array([0.0, 0.0, 1.0]), z_floor, p_rgbd[floor], rng, most)
+    seen += _plane(np.array([0.0, 0.0, 1.0]), z_floor, p_rgbd[floor], most)
     return seen
+
+
+def _incidence(normal: Array, a: Array, b: Array) -> float:
+    """Mean cosine between the beams of a stretch and its normal.
+
+    A constant error of the ranges moves each end point along its beam, the line's middle by that
+    share of it. Beams are evenly spread in angle, so the mean is the integral's.
+    """
+    across = np.array([-normal[1], normal[0]])
+    first, last = (float(np.arctan2(end @ across, end @ normal)) for end in (a, b))
+    turn = last - first
+    return float((np.sin(last) - np.sin(first)) / turn) if abs(turn) > 1e-9 else np.cos(first)
 
 
 def _before_obstacles(scan: LidarScan, points: Array) -> NDArray[np.bool_]:
@@ -129,11 +140,11 @@ def _before_obstacles(scan: LidarScan, points: Array) -> NDArray[np.bool_]:
     return np.hypot(points[:, 0], points[:, 1]) < met - FLOOR_CLEAR
 
 
-def _plane(normal, offset, points, rng, most) -> list[PlaneObservation]:
+def _plane(normal, offset, points, most, bias=0.0) -> list[PlaneObservation]:
     if len(points) < MIN_BEAMS:
         return []
-    points = points[rng.permutation(len(points))[:most]]
-    return [PlaneObservation(normal, float(offset), points, NOISE_AT_1M * _square(points))]
+    points = points[np.linspace(0, len(points) - 1, min(most, len(points))).astype(int)]
+    return [PlaneObservation(normal, float(offset), points, NOISE_AT_1M * _square(points), bias)]
 
 
 def _square(points: Array) -> float:
