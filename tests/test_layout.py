@@ -3,7 +3,7 @@
 import pytest
 
 from twin.geometry import rectangle, rectangles_overlap
-from twin.layout import SHORT_NAMES, LayoutError, load_layout, models_dir
+from twin.layout import SHORT_NAMES, Faults, LayoutError, load_layout, models_dir
 from twin.messages import PART_CLASSES
 
 
@@ -13,6 +13,8 @@ def test_default_cell_is_the_one_of_the_issue():
     assert sum(layout.world.order.values()) == 20
     assert layout.options.arms == 2 and layout.options.grasp_timing
     assert abs(layout.site.pick[0] - layout.site.dock[0]) >= 4.0
+    assert len(layout.site.racks) == 8 and layout.site.goods_in is not None
+    assert layout.world.faults == Faults()
 
 
 def test_short_names_lead_somewhere():
@@ -61,7 +63,7 @@ def test_another_file(tmp_path):
         ("belt_speed", "key=value"),
         ("site.pick=[3.6, 3.2, 1.57]", "pick: the vehicle would stand in the belt"),
         ("site.dock=[-0.9, 0.0, 0.0]", "dock post: reaches outside the hall"),
-        ("site.line.origin=[3.55, 5.6]", "outside the hall"),
+        ("site.line.origin=[3.55, 8.0]", "outside the hall"),
         ("site.hall.x=[5, 1]", "low to high"),
         ("site.dock=[nan, 0.0, 0.0]", "finite"),
     ],
@@ -88,6 +90,10 @@ def test_a_file_that_cannot_be_read_is_named(path, tmp_path):
         load_layout(tmp_path / path)
 
 
+def rack(number: int, x: float) -> str:
+    return f"{{number = {number}, pose = [{x}, 0.5, 0.0]}}"
+
+
 def test_overlap_of_turned_rectangles():
     """Expected: boxes whose upright bounds overlap may still be apart."""
     first = rectangle(0, 0, 0.785398, 2.0, 0.1)
@@ -98,13 +104,27 @@ def test_overlap_of_turned_rectangles():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("site.line.direction=1.5707963", "belt: reaches outside the hall"),
+        ("site.line.origin=[3.55, 0.9]", "belt: reaches outside the hall"),
         ("site.pick=[4.1, 3.2, 1.5707963]", "0.45 m to the left"),
         ("site.pick=[4.0, 4.2, 1.5707963]", "ahead of the vehicle"),
-        ("site.route_to_pick=[[0.0, 3.2, 0.0]]", "would run into the belt"),
-        ("site.line.length=4.0", "stand in the belt"),
-        ("site.receiving=[6.0, 3.2, 1.57]", "receiving table: reaches outside the hall"),
-        ("site.receiving=[4.3, 4.6, 1.5707963]", "to receiving the vehicle would run into"),
+        ("site.pick_approach=[2.5, 3.2, 1.5707963]", "would run into the belt"),
+        ("site.pick_approach=[3.5, 1.9, 1.5707963]", "stand in the belt"),
+        ("site.receiving=[14.7, 3.2, 1.57]", "receiving table: reaches outside the hall"),
+        ("site.receiving=[6.0, 3.2, 1.57]", "receiving table and partition 0 overlap"),
+        ("site.pick_leave=[6.1, 1.4, 1.5707963]", "would run into the receiving table"),
+        ("site.goods_in=[5.2, 7.3, 0.0]", "goods-in stand: reaches outside the hall"),
+        ("site.hall.partitions=[[4.0, 0.0, 4.0, 3.0]]", "would stand in the partition 0"),
+        (f"site.racks=[{rack(1, 9.3)}, {rack(1, 12.7)}]", "rack 1: stands there twice"),
+        (f"site.racks=[{rack(1, 9.3)}, {rack(2, 11.6)}]", "rack 1 and rack 2 overlap"),
+        (f"site.racks=[{rack(1, 14.2)}]", "rack 1: reaches outside the hall"),
+        ('site.tags=[{name = "A1", pose = [1, 1, 0], next = ["A2"]}]', "'?A2'? does not exist"),
+        ('world.faults.tags=[{tag = "Z9", kind = "damaged"}]', "no tag 'Z9'"),
+        ('world.faults.obstacles=[{kind = "bus", pose = [1, 1, 0]}]', "carton"),
+        (
+            'world.faults.obstacles=[{kind = "table", pose = [1, 1, 0], size = 3}]',
+            "choose from kind, pose",
+        ),
+        ("world.faults.movers=[{path = [[1, 1]]}]", "at least 2 items"),
         ("site.hall.x=[-1, 1e308]", "less than or equal to 1000"),
         ("order=sma_f_n_m:3,sma_f_n_m:2", "twice"),
         ("belt_speed=0", "greater than or equal to 0.05"),

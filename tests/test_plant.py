@@ -7,7 +7,7 @@ import pytest
 
 from twin.cli import main
 from twin.layout import load_layout, models_dir
-from twin.messages import ArmReading, GripperReading, LidarScan, RgbdFrame
+from twin.messages import ArmReading, Commands, GripperReading, LidarScan, RgbdFrame
 from twin.plant import factory
 from twin.plant.plant import STEPS_PER_TICK, Plant
 
@@ -31,6 +31,7 @@ def deliveries(seed: int = 0, seconds: float = SECONDS, scale: float = 1.0):
     layout = load_layout(None, (f"world.sensors.latency_scale={scale}",))
     plant, found = Plant(layout, seed), []
     try:
+        plant.apply(Commands(mast_camera=True))
         for _ in range(round(seconds * 100)):
             found += [(plant.time, reading) for reading in plant.readings()]
             for _ in range(STEPS_PER_TICK):

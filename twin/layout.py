@@ -7,7 +7,7 @@ choose how the stack works.
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -204,7 +204,9 @@ def _explain(error: Any) -> str:
     if error["type"] == "extra_forbidden":
         model: Any = Layout
         for part in error["loc"][:-1]:
-            model = model.model_fields[part].annotation
+            # a number is a place in a tuple of models
+            field = isinstance(part, str)
+            model = model.model_fields[part].annotation if field else get_args(model)[0]
         return f"unknown key; choose from {', '.join(model.model_fields)}"
     message = error["msg"].removeprefix("Value error, ")
     given = error["input"]

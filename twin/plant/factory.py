@@ -10,6 +10,7 @@ from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
 from twin.plant.assembly import MASKS, attach, set_masks
+from twin.plant.fault_plan import check_faults
 from twin.plant.floor_tags import add_floor_tags
 from twin.plant.hall import hall
 from twin.plant.model_files import load_model
@@ -33,9 +34,11 @@ def build(
         models: folder of the models, the installed one by default.
 
     Raises:
-        LayoutError: a model file is missing, or names a file outside the folder of the models.
+        LayoutError: a model file is missing, or names a file outside the folder of the models; or
+            a fault cannot come about.
     """
     root = models or models_dir()
+    check_faults(layout)
     spec = hall(layout)
     add_floor_tags(spec, layout, as_built.floor_seed)
     line = load_model(root, "line/line.xml")

@@ -112,7 +112,10 @@ class FaultDriver:
         return True
 
     def _carry(self, kidnap: Kidnap) -> bool:
-        """Carry the vehicle to another place, if that is free; its joints stay as they are."""
+        """Carry the vehicle to another place, if that is free.
+
+        Its joints stay as they are and come to rest; what lies on it stays behind.
+        """
         if not self._may_look("agv"):
             return False
         world, joint = self._world, "agv/base"

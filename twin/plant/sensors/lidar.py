@@ -75,7 +75,7 @@ class LidarSensor:
         )
 
     def _cast(self, model, data) -> tuple[NDArray[np.int32], Array]:
-        """The geom that each beam is heard from, -1 for none, and how far it is. Shapes (BEAMS,)."""
+        """The geom that each beam is heard from (-1: none), and how far. Shapes (BEAMS,)."""
         T_world_lidar = self._mount.pose(data)
         eye, beams_world = T_world_lidar[:3, 3], self._beams @ T_world_lidar[:3, :3].T
         hit = np.full(BEAMS, -1, dtype=np.int32)
