@@ -47,6 +47,7 @@ class Noise:
     vibration: float = 0.002  # m/s^2/sqrt(Hz): the deck tilts 0.1 mrad under acceleration
     blind_accel: float = 1.0  # m/s^2/sqrt(Hz), while the inertial unit is silent; guess
     blind_turn: float = 3.0  # rad/s^2/sqrt(Hz), likewise
+    mistaken: tuple[float, float, float] = (0.1, 0.1, 0.2)  # m/s, m/s, rad/s; guess
     still: tuple[float, float, float] = (0.001, 0.001, 0.0002)  # m/s, m/s, rad/s: sway; guess
 
 
@@ -159,12 +160,21 @@ class MotionEkf(ExtendedKalmanFilter):
         Returns:
             False if the reading lies outside the gate; the state is then unchanged.
         """
+        expected, H, R = self._wheel_model(interval)
+        return self._gated(velocity, expected, H, R)
+
+    def agrees(self, velocity: Array, interval: float) -> bool:
+        """Whether such a reading lies inside the gate."""
+        expected, H, R = self._wheel_model(interval)
+        return self._inside(velocity - expected, H, R)
+
+    def _wheel_model(self, interval: float) -> tuple[Array, Array, Array]:
+        """Expected reading of the wheels, its Jacobian and its noise."""
         # The mean over the interval lags behind the velocity at its end. That the lag depends on
         # the biases too is left out of the Jacobian: 5 ms times their error.
         lag = 0.5 * interval * np.array([*self.acceleration, 0.0])
         R = np.diag(np.square(self.noise.wheel))
-        expected = self.wheels_of(self.x) - lag
-        return self._gated(velocity, expected, self.wheel_jacobian(self.x), R)
+        return self.wheels_of(self.x) - lag, self.wheel_jacobian(self.x), R
 
     def wheels_of(self, x: Array) -> Array:
         """Body velocity that the wheels report in a state: motion plus slip. Shape (3,)."""
@@ -199,14 +209,21 @@ class MotionEkf(ExtendedKalmanFilter):
         self.P[POSE, POSE] = covariance
         return inside
 
-    def loosen_slip(self) -> None:
-        """Give up the belief in the wheels: they have been contradicted for too long."""
-        size = self.slip_size(self.x)[0]
-        self.P[SLIP, SLIP] += np.diag(np.array([0.1, 0.1, 0.2]) / size) ** 2
+    def loosen_twist(self) -> None:
+        """Give up the belief in the velocity: the wheels contradict it, and they do not slip."""
+        self.P[TWIST, TWIST] += np.diag(np.square(self.noise.mistaken))
+
+    def forget_slip(self) -> None:
+        """Wheels that grip again slip by an amount that has nothing to do with the one before."""
+        self.x[SLIP] = 0.0
+        self.P[SLIP, :], self.P[:, SLIP] = 0.0, 0.0
+        self.P[SLIP, SLIP] = np.eye(3)
+
+    def _inside(self, innovation: Array, H: Array, R: Array) -> bool:
+        return bool(innovation @ np.linalg.solve(H @ self.P @ H.T + R, innovation) <= GATE)
 
     def _gated(self, z: Array, expected: Array, H: Array, R: Array) -> bool:
-        innovation = z - expected
-        if innovation @ np.linalg.solve(H @ self.P @ H.T + R, innovation) > GATE:
+        if not self._inside(z - expected, H, R):
             return False
         self.update(z, lambda x: H, lambda x: expected, R)
         self.x[YAW] = wrap_angle(self.x[YAW])

@@ -13,17 +13,20 @@ from numpy.typing import NDArray
 from twin.geometry import Array, compose2
 from twin.messages import ImuReading, WheelState
 from twin.stack.config import StackConfig
-from twin.stack.estimation.ekf import GYRO_BIAS, POSE, TWIST, MotionEkf, Noise
+from twin.stack.estimation.ekf import GYRO_BIAS, POSE, SLIP, TWIST, MotionEkf, Noise
 from twin.stack.estimation.odometry import displacement, exp2
 from twin.stack.estimation.pose_history import PoseHistory
+from twin.stack.estimation.rewind import Rewind
+from twin.stack.estimation.slip import SlipMonitor, closure
 
 SILENCE = 0.10  # s without the inertial unit after which the wheels go on alone
 STILL_TIME = 0.20  # s that all wheels must stand before the vehicle is said to stand
 STILL_COUNTS = 150  # counts that a parked wheel may wander: 24 mrad, arms at work shake it
 MAX_ACCEL = 15.0  # m/s^2: beyond what tyres can do (1.5 g); such a reading is broken
 MAX_RATE = 10.0  # rad/s: ten times what the drive can do; likewise
+REWIND = 0.3  # s of the wheels' word that is taken back when they turn out to slip
+SLIP_GATE = 11.34  # squared size of the slip state: chi-square, 3 degrees of freedom, 99 %
 READY_SIGMA = 0.8e-4  # rad/s of gyro bias: 1.6 mrad of yaw over a mission of 20 s of driving
-PATIENCE = 50  # wheel readings outside the gate in a row before slip is allowed for
 
 
 class FusedOdometry:
@@ -36,12 +39,14 @@ class FusedOdometry:
 
     def __init__(self, config: StackConfig, start: Array, noise: Noise | None = None):
         self._wheels = config.wheels
+        self._rim_angle = 2 * np.pi / (config.wheels.gear_ratio * config.wheels.counts_per_turn)
         self.ekf = MotionEkf(config.imu, start, config.odometry_start_sigma, noise)
         self.history = PoseHistory()
         self.stamp: float | None = None  # of the filter's state
         self.ignored = 0  # readings that came too late or were broken
         self.standing = False
-        self._outside = 0
+        self.slip = SlipMonitor()
+        self._rewind = Rewind(self.ekf, REWIND)
         # Since the vehicle stands: pose, wheels and covariance of the moment it came to rest.
         self._parked: tuple[Array, WheelState, Array] | None = None
         self._wheel_queue: list[WheelState] = []
@@ -120,7 +125,7 @@ class FusedOdometry:
             self.ignored += 1
             return False
         if dt > 0:
-            self.ekf.advance(dt, accel, gyro)
+            self._rewind.advance(dt, accel, gyro)
             self.stamp = stamp
         return True
 
@@ -129,21 +134,43 @@ class FusedOdometry:
         if last is None or wheel.stamp <= last.stamp:
             return
         interval = wheel.stamp - last.stamp
-        mean = displacement(self._wheels, wheel.ticks - last.ticks) / interval
-        inside = self.ekf.update_wheels(mean, interval)
-        self._outside = 0 if inside else self._outside + 1
-        if self._outside >= PATIENCE:
-            self.ekf.loosen_slip()
-            self._outside = 0
-        self.standing = self._wheels_stand(wheel)
+        moved = wheel.ticks - last.ticks
+        mean = displacement(self._wheels, moved) / interval
+        self._believe(wheel.stamp, mean, moved * self._rim_angle / interval, interval)
+        self.standing = not self.slip.slipping and self._wheels_stand(wheel)
         if not self.standing:
             self._parked = None
             return
         if self._parked is None:
             self._parked = (self.ekf.x[POSE].copy(), wheel, self.covariance)
+        self._rewind.clear()
         pose, since, covariance = self._parked
         moved = exp2(displacement(self._wheels, wheel.ticks - since.ticks))
         self.ekf.park(compose2(pose, moved), covariance, mean)
+
+    def _believe(self, stamp: float, mean: Array, speeds: Array, interval: float) -> None:
+        """Correct by the wheels while they grip; else go on by inertia alone."""
+        ekf, slip = self.ekf, self.slip
+        before = slip.slipping
+        closes = slip.closes(closure(self._wheels, speeds), mean)
+        inside = ekf.agrees(mean, interval) and bool(np.sum(ekf.x[SLIP] ** 2) < SLIP_GATE)
+        if not slip.update(stamp, closes, inside, mean - ekf.x[TWIST]):
+            if not before:
+                self._take_back()
+            return
+        if slip.mistaken:
+            ekf.loosen_twist()
+        if before:
+            ekf.forget_slip()
+        ekf.update_wheels(mean, interval)
+        self._rewind.mark(stamp)
+
+    def _take_back(self) -> None:
+        """Undo what the wheels said of late: slip grows for a while before it shows."""
+        for k, (stamp, pose) in enumerate(self._rewind.back()):
+            if k == 0:
+                self.history.forget(stamp)
+            self.history.add(stamp, pose)
 
     def _wheels_stand(self, wheel: WheelState) -> bool:
         self._still.append(wheel)

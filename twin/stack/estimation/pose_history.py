@@ -28,6 +28,12 @@ class PoseHistory:
         self._stamps.append(stamp)
         self._poses.append(np.array(pose, dtype=float))
 
+    def forget(self, since: float) -> None:
+        """Drop the poses from `since` on: they were found to be wrong."""
+        while self._stamps and self._stamps[-1] >= since:
+            self._stamps.pop()
+            self._poses.pop()
+
     def at(self, stamp: float) -> Array | None:
         """Pose (x, y, yaw) at a past time; None where the buffer does not reach. Shape (3,)."""
         if len(self._stamps) < 2 or not (self._stamps[0] <= stamp <= self._stamps[-1] + AHEAD):
