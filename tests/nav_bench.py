@@ -6,7 +6,6 @@ from flat_world import scan
 from twin.geometry import compose2
 from twin.layout import load_layout
 from twin.stack.config import DriveLimits, nominal_config
-from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.odometry import exp2
 from twin.stack.estimation.site_map import floor_map
 from twin.stack.planning.navigator import Navigator

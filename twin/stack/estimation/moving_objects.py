@@ -71,7 +71,7 @@ class MovingObject:
         self.covariance = self.covariance - K @ self.covariance[POSITION]
 
     def row(self, now: float, behind: float) -> Array:
-        """As an obstacle of `planning.clearance`: a capsule about what is seen of it. Shape (7,)."""
+        """Capsule about what is seen of it, a row as in `planning.clearance`. Shape (7,)."""
         centre = self.mean[POSITION] + self.mean[VELOCITY] * (now - self.stamp)
         spread = self.points - 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
         axis = np.linalg.eigh(spread.T @ spread + 1e-9 * np.eye(2))[1][:, 1]
@@ -83,7 +83,7 @@ class MovingObject:
 
 
 def clusters(points: Array, gap: float, fewest: int) -> list[Array]:
-    """Points (n, 2) in the order of the beams, cut where neighbours are farther than `gap` apart."""
+    """Points (n, 2) in the beams' order, cut where neighbours are farther than `gap` apart."""
     if len(points) < fewest:
         return []
     cuts = np.nonzero(np.hypot(*np.diff(points, axis=0).T) > gap)[0] + 1

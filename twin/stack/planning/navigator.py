@@ -40,7 +40,7 @@ class NavigatorOptions:
     better: float = 0.85  # of the old way's cost at which a new one is taken
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
-    beside: float = 1.4  # m beside the way within which obstacles count
+    beside: float = 1.0  # m beside the way within which obstacles count
     astray: float = 0.10  # m off the reference at which the next band starts from the pose
     astray_turn: float = 0.15  # rad likewise
     closing: float = 1.0  # s before the end from which a good band is not replaced

@@ -29,7 +29,14 @@ from twin.stack.planning.clearance import (
 )
 from twin.stack.planning.teb_seeds import PASSES, bent, headings, smoothed, spaced, timed
 from twin.stack.planning.teb_solver import Weights, limits_of, optimise, resized
-from twin.stack.planning.teb_trajectory import Trajectory, fault, room_fault, rooms_kept, shares
+from twin.stack.planning.teb_trajectory import (
+    Trajectory,
+    fault,
+    retimed,
+    room_fault,
+    rooms_kept,
+    shares,
+)
 
 
 @dataclass(frozen=True)
@@ -293,8 +300,15 @@ class Teb:
             if k == 1:
                 band = resized(band, o.step, o.most)
             self._relaxed(band, ends, obstacles, k)
-        band = self._slowed(band, ends)
-        return band, fault(band, ends, self._limits, self.footprint, obstacles, rooms)
+        w = self.options.weights
+        fast = retimed(band, ends[0], self._limits, w.speed_share, w.push_share)
+        why: str | None = "no band"
+        for times in (fast, band):  # the slower one may let something pass that moves
+            times = self._slowed(times, ends)
+            why = fault(times, ends, self._limits, self.footprint, obstacles, rooms)
+            if why is None:
+                return times, None
+        return band, why
 
     def _slowed(self, band: Array, ends: Array) -> Array:
         """What soft limits leave over is taken back by driving a little slower."""
