@@ -9,7 +9,7 @@ from twin.geometry import between2, compose2, inverse, pose2_to_transform
 from twin.layout import LayoutError, Tolerances, load_layout
 from twin.plant.as_built import AsBuilt
 from twin.plant.factory import build
-from twin.plant.floor_tags import QUIET, SIDE, TEXELS, code_texture, plate_side, true_pose
+from twin.plant.floor_tags import QUIET, SIDE, TEXELS, printed_code, plate_side, true_pose
 from twin.stack.config import nominal_config
 from twin.stack.detection.qr import TagReader
 from twin.tag_text import TagText, format_tag
@@ -33,7 +33,7 @@ def read(bench, name, offset=(0.0, 0.0, 0.0)):
 
 
 def test_plate_has_the_drawn_code():
-    texture = code_texture(format_tag(TagText("G7", (1.0, 2.0, 0.0), ("N4",))))
+    texture = printed_code(format_tag(TagText("G7", (1.0, 2.0, 0.0), ("N4",))))
     modules = texture.shape[0] / TEXELS - 2 * QUIET
     assert modules == 25 and texture.min() < 50 and texture.max() > 200
     assert (texture[: QUIET * TEXELS] == texture.max()).all()
@@ -50,7 +50,7 @@ def test_print_is_not_mirrored(bench):
     tag, offset = bench.tags["P1"], np.array([0.01, -0.015, 0.4])
     image = bench.shoot(compose2(tag, offset)).image.astype(float)
     drawn = next(t for t in bench.layout.site.tags if t.name == "P1")
-    texture = code_texture(format_tag(TagText(drawn.name, drawn.pose, drawn.next)))
+    texture = printed_code(format_tag(TagText(drawn.name, drawn.pose, drawn.next)))
     modules = texture.shape[0] // TEXELS - 2 * QUIET
     dark = texture[TEXELS // 2 :: TEXELS, TEXELS // 2 :: TEXELS] < 128
     dark = dark[QUIET:-QUIET, QUIET:-QUIET]

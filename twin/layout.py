@@ -92,6 +92,14 @@ class Kidnap(Strict):
     pose: Pose2
 
 
+class Parcel(Strict):
+    """What a transport order finds at goods-in."""
+
+    rack: Annotated[int, Field(ge=1, le=999)] = 7  # that its code names
+    xy: Annotated[float, Field(ge=0.0, le=0.02)] = 0.010  # m, +- off its place
+    yaw_deg: Annotated[float, Field(ge=0.0, le=15.0)] = 5.0  # +-
+
+
 class Faults(Strict):
     """What goes wrong, and where: only the plant knows."""
 
@@ -110,6 +118,7 @@ class World(Strict):
     tolerances: Tolerances = Tolerances()
     sensors: Sensors = Sensors()
     faults: Faults = Faults()
+    parcel: Parcel = Parcel()
     order: dict[PartClass, Annotated[int, Field(ge=0, le=20)]]
 
     @model_validator(mode="after")

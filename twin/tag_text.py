@@ -42,7 +42,7 @@ def format_tag(tag: TagText) -> str:
         raise ValueError(f"tag {tag.tag_id}: pose {tag.pose} is not finite")
     numbers = f"{round(1e3 * x)}:{round(1e3 * y)}:{round(100 * np.degrees(yaw))}"
     body = f"{VERSION}:{tag.tag_id}:{numbers}:{'/'.join(tag.next_nodes)}"
-    text = f"{body}:{_checksum(body)}"
+    text = f"{body}:{checksum(body)}"
     if parse_tag(text) is None:
         raise ValueError(
             f"tag '{tag.tag_id}': {body} does not fit; ids are 1-8 of A-Z and 0-9, "
@@ -53,14 +53,15 @@ def format_tag(tag: TagText) -> str:
 
 def parse_tag(text: str) -> TagText | None:
     """Tag of a text; None if it is not one to the letter."""
-    body, _, checksum = text.rpartition(":")
+    body, _, check = text.rpartition(":")
     match = BODY.fullmatch(body)
-    if match is None or checksum != _checksum(body) or abs(int(match["yaw"])) > 18000:
+    if match is None or check != checksum(body) or abs(int(match["yaw"])) > 18000:
         return None
     pose = (1e-3 * int(match["x"]), 1e-3 * int(match["y"]), np.radians(0.01 * int(match["yaw"])))
     following = tuple(match["next"].split("/")) if match["next"] else ()
     return TagText(match["id"], (pose[0], pose[1], float(pose[2])), following)
 
 
-def _checksum(body: str) -> str:
+def checksum(body: str) -> str:
+    """CRC-16 (CCITT) of a code's body in four hexadecimal digits."""
     return f"{crc_hqx(body.encode('ascii', 'replace'), 0xFFFF):04X}"

@@ -15,6 +15,7 @@ from twin.plant.floor_tags import add_floor_tags
 from twin.plant.hall import hall
 from twin.plant.model_files import load_model
 from twin.plant.obstacles import add_movers, add_obstacles
+from twin.plant.parcel import add_parcel
 from twin.plant.warehouse import add_warehouse
 from twin.site import Line, Pose2
 
@@ -23,7 +24,11 @@ WHEELS = ("fl", "fr", "rl", "rr")
 
 
 def build(
-    layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
+    layout: Layout,
+    as_built: AsBuilt,
+    pool: int | None = None,
+    models: Path | None = None,
+    parcel: bool = False,
 ) -> mujoco.MjSpec:
     """The whole cell as one editable model, not yet compiled.
 
@@ -32,6 +37,7 @@ def build(
         as_built: deviations of the machine from the drawing.
         pool: number of parts of each class in the feeder's store; None lets the order decide.
         models: folder of the models, the installed one by default.
+        parcel: whether one lies at goods-in.
 
     Raises:
         LayoutError: a model file is missing, or names a file outside the folder of the models; or
@@ -55,6 +61,8 @@ def build(
     add_movers(spec, layout.world.faults.movers, root)
     store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)
     _attach_parts(spec, root, store)
+    if parcel:
+        add_parcel(spec, layout, as_built.floor_seed, root)
     return spec
 
 

@@ -24,10 +24,10 @@ TORN = 0.6  # share of a damaged code's width that is gone: more than any correc
 FOREIGN_TEXT = "HTTPS://EXAMPLE.ORG/PALLET/17"  # what a carton may have left behind
 
 
-def code_texture(text: str) -> NDArray[np.uint8]:
-    """A QR code with its quiet zone, first row on top. Shape (n, n), grey."""
+def printed_code(text: str, quiet: int = QUIET) -> NDArray[np.uint8]:
+    """A QR code with its quiet zone of so many modules, first row on top. Shape (n, n), grey."""
     rows = segno.make(text, error="m", micro=False).matrix
-    dark = np.pad(np.array([list(row) for row in rows], dtype=bool), QUIET)
+    dark = np.pad(np.array([list(row) for row in rows], dtype=bool), quiet)
     grey = np.where(dark, INK, PAPER).astype(np.uint8)
     return np.kron(grey, np.ones((TEXELS, TEXELS), np.uint8))
 
@@ -49,7 +49,7 @@ def add_floor_tags(spec: mujoco.MjSpec, layout: Layout, floor_seed: int) -> None
     faults = {fault.tag: fault for fault in layout.world.faults.tags}
     for i, tag in enumerate(layout.site.tags):
         fault = faults.get(tag.name)
-        texture = code_texture(_text(tag, fault, layout.site.tags))
+        texture = printed_code(_text(tag, fault, layout.site.tags))
         if fault is not None and fault.kind == "damaged":
             texture[:, : int(TORN * texture.shape[1])] = PAPER
         rng = np.random.default_rng((floor_seed, i))

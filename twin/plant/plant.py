@@ -61,7 +61,8 @@ class Plant:
         if order is None:
             order = Order(0.0, tuple((c, n) for c, n in layout.world.order.items() if n))
         self._feeding = isinstance(order, Order)
-        self.world = World(layout, self.as_built, None if self._feeding else IDLE_POOL)
+        pool, transport = None if self._feeding else IDLE_POOL, isinstance(order, TransportOrder)
+        self.world = World(layout, self.as_built, pool, parcel=transport)
         model = self.world.model
         self.feeder = Feeder(self.world, layout, feed)
         self.faults = FaultDriver(self.world, layout)

@@ -54,18 +54,24 @@ class World:
         as_built: deviations of this machine from the drawing.
         pool: parts of each class in the feeder's store; None lets the order decide.
         models: folder of the models, the installed one by default.
+        parcel: whether one lies at goods-in.
 
     Raises:
         LayoutError: the models cannot be put together.
     """
 
     def __init__(
-        self, layout: Layout, as_built: AsBuilt, pool: int | None = None, models: Path | None = None
+        self,
+        layout: Layout,
+        as_built: AsBuilt,
+        pool: int | None = None,
+        models: Path | None = None,
+        parcel: bool = False,
     ):
         # MuJoCo would print its warnings and write MUJOCO_LOG.TXT into the working folder; `step`
         # reports them instead.
         mujoco.set_mju_user_warning(lambda text: None)
-        spec = build(layout, as_built, pool, models)
+        spec = build(layout, as_built, pool, models, parcel)
         try:
             self.model = spec.compile()
         except ValueError as error:

@@ -1,8 +1,8 @@
 """Camera that looks straight down at the floor: 320x240 grey, 20 Hz, with its own ring of light.
 
-A global-shutter sensor of the mast camera's pixel class, binned: the figures of its noise stand in
-`twin.plant.sensors.camera`. The ring of light in the well allows a short exposure; what it leaves of
-motion is smeared along the floor's true way through the picture.
+A global-shutter sensor of the mast camera's pixel class, binned: its noise figures stand in
+`twin.plant.sensors.camera`. The ring of light in the well allows a short exposure; what it leaves
+of motion is smeared along the floor's true way through the picture.
 """
 
 from concurrent.futures import Future
