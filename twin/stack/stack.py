@@ -15,6 +15,7 @@ from twin.messages import (
     CameraFrame,
     Commands,
     Detection,
+    DriveOrder,
     Goal,
     GripperReading,
     LidarScan,
@@ -35,12 +36,14 @@ from twin.stack.estimation.site_map import floor_map
 from twin.stack.planning.drive import Drive
 from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.arm_worker import ArmWorker
+from twin.stack.tasks.drive_mission import drive_mission
 from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
 from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
 
 MISSIONS = {
     Order: pick_mission,
+    DriveOrder: drive_mission,
 }
 
 

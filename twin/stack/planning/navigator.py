@@ -107,8 +107,8 @@ class Navigator:
                 self.outcome = why
                 self._outcomes.append((goal.name, why))
             return why
-        if self.active:
-            self.cancel()
+        if self.active and self._goal is not None:
+            self._outcomes.append((self._goal.name, "dropped for another goal"))
         self._reset()
         self._goal, self._pose_goal = goal, np.array(goal.pose, dtype=float)
         self._pose_goal[2] = wrap_angle(self._pose_goal[2])
@@ -118,9 +118,14 @@ class Navigator:
         return ""
 
     def cancel(self) -> None:
-        """Give the goal up and come to rest."""
-        if self.active:
-            self._end("cancelled")
+        """Give the goal up; it is under way until the vehicle has come to rest."""
+        self._cancelled = self.active
+
+    def restart(self) -> None:
+        """The pose has jumped to another place: forget what was seen and planned, keep the goal."""
+        self.layer.forget(np.zeros(3), keep=0.0)
+        self.follower.stop()
+        self._reset()
 
     def _refusal(self, goal: Goal) -> str:
         pose = np.asarray(goal.pose, dtype=float)
@@ -183,6 +188,8 @@ class Navigator:
         if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(velocity))):
             return BodyVelocity()
         if not self.active:
+            return BodyVelocity()
+        if self._cancelled:
             return self._coming_to_rest(pose)
         if self.recovery.active:
             return self._recover(now, pose)
@@ -202,11 +209,9 @@ class Navigator:
         return self.follower.step(pose, self._brake)
 
     def _coming_to_rest(self, pose: Array) -> BodyVelocity:
-        if self.follower.trajectory is None:
-            return BodyVelocity()
         command = self.follower.step(pose, brake=True)
         if self.follower.stopped:
-            self.follower.stop()
+            self._end("cancelled")
         return command
 
     def _look_ahead(self, now: float) -> None:
@@ -386,10 +391,7 @@ class Navigator:
         self.active, self.outcome = False, outcome
         self._outcomes.append((self._goal.name, outcome))
         self.events.append(f"{self._goal.name}: {outcome}")
-        self.recovery = Recovery()
-        self.teb.reset()
-        if self.follower.stopped:
-            self.follower.stop()
+        self.follower.stop()
 
     def _reset(self) -> None:
         self._path = np.zeros((0, 2))
@@ -398,6 +400,8 @@ class Navigator:
         self._fresh, self._stale_costs, self._tries = False, True, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
+        self._cancelled = False
+        self.recovery = Recovery()
         self.teb.reset()
 
 
