@@ -14,11 +14,14 @@ from twin.messages import (
     BodyVelocity,
     CameraFrame,
     Commands,
+    CourseOrder,
     Detection,
     DriveOrder,
+    FloorFrame,
     Goal,
     GripperReading,
     LidarScan,
+    MapOrder,
     Order,
     Reading,
     RgbdFrame,
@@ -36,14 +39,19 @@ from twin.stack.estimation.site_map import floor_map
 from twin.stack.planning.drive import Drive
 from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.arm_worker import ArmWorker
+from twin.stack.tasks.course_mission import course_mission
 from twin.stack.tasks.drive_mission import drive_mission
+from twin.stack.tasks.map_mission import map_mission
 from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
 from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
+from twin.stack.tasks.search import Search
 
 MISSIONS = {
     Order: pick_mission,
     DriveOrder: drive_mission,
+    MapOrder: map_mission,
+    CourseOrder: course_mission,
 }
 
 
@@ -62,6 +70,7 @@ class Stack:
         self.mapper: Mapper | None = None  # takes the localiser's place while mapping
         self.navigator = Navigator(config, floor_map(config.site))
         self.drive = Drive(config.drive)  # straight legs, without looking
+        self.search = Search(config)
         self.detector = ContourDetector(config)
         self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
@@ -88,7 +97,7 @@ class Stack:
             readings: what has arrived since the last one.
         """
         self.now = stamp
-        self.localiser.step(stamp, readings)
+        self.localiser.step(stamp, self._for_localiser(readings))
         for reading in readings:
             self._hear(reading)
         fused = self.localiser.fused.pose(stamp)
@@ -128,15 +137,37 @@ class Stack:
         pose = self.pose_at(reading.stamp)
         if self.mapper is not None:
             self.mapper.hear(reading, self.localiser.fused.history.at(reading.stamp))
-        self.navigator.hear(reading, pose)
+        self.search.hear(reading)
+        if not self.localiser.lost:
+            self.navigator.hear(reading, pose)
         if isinstance(reading, RgbdFrame) and not self.drive.done:
             self.distance.update(reading, pose)
 
+    def _for_localiser(self, readings: Sequence[Reading]) -> Sequence[Reading]:
+        """While a map is drawn there is none to be localised on: only odometry goes on."""
+        if self.mapper is None:
+            return readings
+        return [r for r in readings if not isinstance(r, LidarScan | FloorFrame)]
+
     def _wheels(self, stamp: float) -> BodyVelocity:
+        """The search for the vehicle's place, the navigator or straight legs move the wheels."""
         velocity = self.localiser.velocity
+        if self._may_search() and not self.search.active:
+            self.search.begin(stamp)
+        if self.search.active:
+            command = self.search.step(stamp, self.localiser)
+            if not self.search.active:
+                self.navigator.restart()
+            return command
         if self.navigator.active:
             return self.navigator.step(stamp, self.pose, velocity)
         return self.drive.step(stamp, self.pose, velocity)
+
+    def _may_search(self) -> bool:
+        """Whether the vehicle is lost and nothing keeps it where it is: arms out, no order."""
+        arms_in = all(w.free and w.motion.idle(self.now) for w in self.arms)
+        lost = self.mapper is None and self.localiser.lost
+        return lost and arms_in and not self.picker.active and not self.done
 
     def pose_at(self, stamp: float) -> Array | None:
         """Pose in world at a past time; None where it is not known. Shape (3,)."""
@@ -200,7 +231,7 @@ class Stack:
             odometry_pose=self.odometry.pose,
             fused_pose=localiser.fused.pose(self.now),
             velocity=localiser.velocity,
-            task=running(self._tree),
+            task=self.search.reason or running(self._tree),
             tracks=parts,
             detections=self._detections,
             detections_stamp=self._detections_stamp,
