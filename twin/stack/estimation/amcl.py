@@ -146,7 +146,7 @@ class Amcl:
         self.stamp = scan.stamp
         rest = self._odometry is not None
         rest = rest and np.hypot(*step[:2]) < s.min_path and abs(step[2]) < s.min_turn
-        if rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
+        if self._judged and rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
             return None
         self._odometry, self._scan = odometry, (p_base, silent)
         self.updates += 1
@@ -208,7 +208,8 @@ class Amcl:
     def _fits(self, pose: Array, p_base: NDArray[np.float32], silent: int) -> bool:
         """Whether a scan at rest fits no worse than usual: a carried vehicle's does not."""
         fit = self.likelihood.log_likelihood(pose[None], p_base, silent)
-        return bool(self._explained(fit)[0] >= (1 - self.settings.slack) * self._slow)
+        self.quality = float(self._explained(fit)[0])
+        return self.quality >= (1 - self.settings.slack) * self._slow
 
     def _explained(self, fit: Array) -> Array:
         """Share of a scan's beams that the map explains at poses of mean log-density `fit` (n,).

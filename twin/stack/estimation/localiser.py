@@ -29,11 +29,14 @@ ROOM = 0.25  # m from the vehicle's centre to what it would touch: half its widt
 SHARED = 10.0
 # What all scans share: lidar's mount (2 mm, 3 mrad) and range offset (10 mm, in part cancelled).
 SYSTEMATIC = np.diag([0.005, 0.005, 0.003]) ** 2
-LOST_AFTER = 0.8  # s of scans that do not fit
+ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.26  # m, rad from the believed pose: that is another place
+POOR = 0.5  # of what the map usually explains: less is no place at all, whatever stands around
+LOST_AFTER = 0.5  # s of doubt
 PATIENCE = 5  # updates in a row outside the gate, after which the map is believed
 SURE = 0.95  # share of the particles in one place
 SPREAD = 0.15  # m, 1 sigma of that place at most
 CONFIRM = 1.2  # m of way over which one place alone must fit before it is believed
+TURN_WORTH = 0.2  # m of way that a radian on the spot is worth: it brings new walls into view
 GOOD = 0.92  # of what the map explains of scans in known places
 
 
@@ -87,7 +90,8 @@ class Localiser:
         self.events: list[str] = []
         self.dropped = 0
         self.lost = False
-        self._misfit_since: float | None = None  # stamp of the scan since which none has fitted
+        self.doubtful = False  # may be lost: whoever drives by the pose had better stop
+        self._doubted_since: float | None = None  # stamp of a scan
         self._outside = 0  # AMCL's poses in a row outside the gate
         self._confirmed = 0.0  # m of way over which one place alone has fitted
         self._usual = self.amcl.settings.expected  # explained by the map in known places
@@ -183,34 +187,55 @@ class Localiser:
         if fault is not None:
             self._drop(fault)
             return
-        if amcl.updates == updates:
-            return  # at rest, and nothing new
-        way = 0.0 if before is None else float(np.hypot(*between2(before, reckoned)[:2]))
-        self._judge(scan.stamp, way)
-        self._carry(reckoned)
-        if self.lost or amcl.lost:
+        news = amcl.updates > updates
+        if self.lost:
+            self._carry(reckoned)
+            if news and before is not None:
+                self._confirm(between2(before, reckoned))
             return
-        measured = SHARED * amcl.covariance + SYSTEMATIC
-        if self._correction.update(amcl.pose, measured):
-            self._outside = 0
-        else:
-            self._outside += 1
-            if self._outside >= PATIENCE and self._one_place():
-                self.events.append("localisation: taken over from the map, which has differed")
-                self._take_over()
+        if news:
+            self._carry(reckoned)
+        off = between2(self._correction.at(reckoned), amcl.pose_at(reckoned))
+        if not self._doubt(scan.stamp, off) and news and not amcl.lost:
+            self._correct()
 
-    def _judge(self, stamp: float, way: float) -> None:
-        """Whether the vehicle is where it is believed to be."""
+    def _doubt(self, stamp: float, off: Array) -> bool:
+        """Whether the vehicle may not be where it is believed to be; after a while it is lost.
+
+        Something that stands before the lidar hides part of the map, and what is left still fits
+        best here. A vehicle that was carried off fits better elsewhere, or nowhere.
+
+        Args:
+            stamp: of the scan, s.
+            off: of AMCL's pose from the believed one. Shape (3,).
+        """
         amcl = self.amcl
-        if not self.lost:
+        elsewhere = np.hypot(*off[:2]) > ELSEWHERE or abs(off[2]) > ELSEWHERE_YAW
+        self.doubtful = bool(elsewhere or amcl.quality < POOR * self._usual)
+        if not self.doubtful:
+            self._doubted_since = None
             if not amcl.lost:
-                self._misfit_since = None
                 self._usual += 0.02 * (amcl.quality - self._usual)
-            elif self._misfit_since is None:
-                self._misfit_since = stamp
-            elif stamp - self._misfit_since >= LOST_AFTER:
-                self._lose(f"localisation: lost, the map explains {amcl.quality:.0%} of the scan")
+        elif self._doubted_since is None:
+            self._doubted_since = stamp
+        elif stamp - self._doubted_since >= LOST_AFTER:
+            self._lose(f"localisation: lost, the map explains {amcl.quality:.0%} of the scan")
+        return self.doubtful
+
+    def _correct(self) -> None:
+        amcl = self.amcl
+        if self._correction.update(amcl.pose, SHARED * amcl.covariance + SYSTEMATIC):
+            self._outside = 0
             return
+        self._outside += 1
+        if self._outside >= PATIENCE and self._one_place():
+            self.events.append("localisation: taken over from the map, which has differed")
+            self._take_over()
+
+    def _confirm(self, step: Array) -> None:
+        """Found, when one place alone has fitted over some way, of which this is a step (3,)."""
+        way = float(np.hypot(*step[:2])) + TURN_WORTH * abs(float(step[2]))
+        amcl = self.amcl
         good = not amcl.lost and amcl.quality >= GOOD * self._usual and self._one_place()
         self._confirmed = self._confirmed + way if good else 0.0
         if self._confirmed >= CONFIRM:
@@ -222,16 +247,22 @@ class Localiser:
         return amcl.dominance >= SURE and float(np.trace(amcl.covariance[:2, :2])) < SPREAD**2
 
     def _lose(self, why: str) -> None:
-        self.lost, self._confirmed = True, 0.0
+        self.lost = self.doubtful = True
+        self._confirmed = 0.0
         self.events.append(why)
+
+    def _believe(self, pose: Array, covariance: Array, odometry: Array) -> None:
+        """Start the correction anew from a pose that is sure."""
+        self._correction.reset(pose, covariance, odometry)
+        self._reckoned = self.fused.covariance
+        self._outside, self._doubted_since = 0, None
+        self.lost = self.doubtful = False
 
     def _take_over(self) -> None:
         """The pose is AMCL's from now on."""
         amcl = self.amcl
         assert amcl.pose_odometry is not None
-        self._correction.reset(amcl.pose, amcl.covariance + SYSTEMATIC, amcl.pose_odometry)
-        self._reckoned = self.fused.covariance
-        self._outside, self.lost, self._misfit_since = 0, False, None
+        self._believe(amcl.pose, amcl.covariance + SYSTEMATIC, amcl.pose_odometry)
 
     # --- tags ------------------------------------------------------------------------------------
 
@@ -250,8 +281,9 @@ class Localiser:
         if decision.action == "refused":
             self.events.append(decision.reason)
             return
-        self._correction.reset(decision.pose, decision.covariance, reckoned)
-        if decision.action == "reset" or self.lost:
+        if decision.action == "fused" and not self.lost:
+            self._correction.reset(decision.pose, decision.covariance, reckoned)
+        else:
             self.events.append(f"localisation: pose taken from tag {fix.text.tag_id}")
             self.amcl.initialise(decision.pose, decision.covariance, reckoned, fix.stamp)
-            self._outside, self.lost, self._misfit_since = 0, False, None
+            self._believe(decision.pose, decision.covariance, reckoned)
