@@ -135,6 +135,14 @@ class DriveOrder:
 
 
 @dataclass(frozen=True)
+class CourseOrder:
+    """Drive straight from pose to pose, on the spot and sideways too, without looking for a way."""
+
+    stamp: float
+    route: tuple[tuple[float, float, float], ...]  # x, y, yaw in world
+
+
+@dataclass(frozen=True)
 class MapOrder:
     """Draw a map while driving to one goal after the other; there is none to drive by yet."""
 
@@ -160,6 +168,7 @@ Reading = (
     | GripperReading
     | Order
     | DriveOrder
+    | CourseOrder
     | MapOrder
     | TransportOrder
 )

@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from twin.layout import Layout
-from twin.messages import Commands, DriveOrder, MapOrder, Order, Reading, TransportOrder
+from twin.messages import (
+    Commands,
+    CourseOrder,
+    DriveOrder,
+    MapOrder,
+    Order,
+    Reading,
+    TransportOrder,
+)
 from twin.plant.actuators.arm_drive import ArmDrive
 from twin.plant.actuators.gripper_drive import GripperDrive
 from twin.plant.actuators.wheel_drive import WheelDrive
@@ -27,7 +35,7 @@ PARKED_WIDTH = 0.025  # m between the pads at the start
 IDLE_POOL = 1  # parts of each class in the store of a plant that feeds none
 STEPS_PER_TICK = 5  # physics steps of 2 ms in a tick of the stack
 
-AnyOrder = Order | DriveOrder | MapOrder | TransportOrder
+AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder
 
 
 class OrderDesk:
