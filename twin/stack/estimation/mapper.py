@@ -55,7 +55,7 @@ class Mapper:
         calibration: Calibration | None = None,
         settings: MapperSettings = MapperSettings(),
     ):
-        self.config = config
+        self.belief = config  # of the sensors, with the calibration once there is one
         (x0, x1), (y0, y1) = config.site.hall.x, config.site.hall.y
         m = settings.margin
         T = config.T_base_lidar
@@ -156,7 +156,7 @@ class Mapper:
         Returns:
             None, or why it could not be done, in one line; the drawing's pose is then used.
         """
-        config, why = self.config, None
+        config, why = self.belief, None
         try:
             self.calibration = self.run.solve()
         except ValueError as error:
@@ -169,7 +169,7 @@ class Mapper:
 
     def _use(self, config: StackConfig) -> None:
         """Draw by a belief of the camera from now on."""
-        self._converter = DepthToScan(config.rgbd)
+        self.belief, self._converter = config, DepthToScan(config.rgbd)
         waiting, self._waiting = self._waiting, []
         for frame, odometry in waiting:
             depth = self._converter.convert(frame)
