@@ -148,6 +148,22 @@ class PartDrawing:
 
 
 @dataclass(frozen=True)
+class ParcelDrawing:
+    """A carton with a goods code on its lid: models/parcel/README.md.
+
+    Frame: middle of its bottom, x along its length and the code's upper edge, z up.
+    """
+
+    length: float = 0.050  # along x, m
+    width: float = 0.042  # along y: where the hand grips it
+    height: float = 0.040
+    grasp_z: float = 0.020  # height of the TCP above the bottom
+    mass: float = 0.080  # kg
+    code_side: float = 0.041 * 21 / 25  # outer edge of the code, m
+    code_modules: int = 21  # along an edge
+
+
+@dataclass(frozen=True)
 class StackConfig:
     """Everything the stack believes before its first reading."""
 
@@ -179,6 +195,11 @@ class StackConfig:
     )
     tag_side: float = 0.100  # outer edge of a floor tag's code, quiet zone left out, m
     parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
+    parcel: ParcelDrawing = ParcelDrawing()
+    stand_height: float = 0.70  # of the goods-in stand's face and of a rack's upper deck, m
+    # Where a parcel lies at goods-in, and where it is set down on a rack: in base when the vehicle
+    # stands there. In the middle of the front arm's reach to the left.
+    parcel_place: tuple[float, float, float] = (0.12, 0.45, 0.0)
     line_hood: float = 0.30  # m from the belt's upstream end to the front of the feeder's hood
     odometry_start_sigma: tuple[float, float, float] = (0.006, 0.006, 0.003)  # of the dock
     # Base x along the belt within which each arm meets parts, m.

@@ -26,6 +26,7 @@ from twin.messages import (
     Reading,
     RgbdFrame,
     StackState,
+    TransportOrder,
     WheelState,
 )
 from twin.stack.config import StackConfig
@@ -46,12 +47,14 @@ from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
 from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
 from twin.stack.tasks.search import Search
+from twin.stack.tasks.transport_mission import transport_mission
 
 MISSIONS = {
     Order: pick_mission,
     DriveOrder: drive_mission,
     MapOrder: map_mission,
     CourseOrder: course_mission,
+    TransportOrder: transport_mission,
 }
 
 

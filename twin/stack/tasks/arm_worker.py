@@ -123,6 +123,19 @@ class ArmWorker:
                 " it stops, and the vehicle stays"
             )
 
+    # --- fingers, also for other tasks than the belt's --------------------------------------------
+
+    def set_fingers(self, width: float) -> None:
+        """Open or close to `width` m between the pads, with the force used for grips."""
+        self._command = GripperCommand(self.index, width, self.config.gripper.force)
+
+    def grips(self, width: float) -> bool:
+        """Whether the fingers say that they hold something `width` m wide."""
+        reading = self._gripper
+        if reading is None or abs(reading.width - width) >= WIDTH_TOLERANCE:
+            return False
+        return reading.force > LEAST_FORCE * self.config.gripper.force
+
     # --- jobs ------------------------------------------------------------------------------------
 
     def earliest(self, now: float, grasp: Grasp) -> float | None:
@@ -165,7 +178,7 @@ class ArmWorker:
         """Advance the job; set-points of this tick."""
         job, pick, place = self.job, self._pick, self._place
         if self.phase is Phase.APPROACH and job and pick and now >= pick.close:
-            self._grip(0.0)
+            self.set_fingers(0.0)
             self.phase = Phase.CLOSING
         elif self.phase is Phase.CLOSING and job and pick and now >= pick.lift:
             if self._has_grip(job):
@@ -211,17 +224,9 @@ class ArmWorker:
         self.phase = Phase.GIVING_UP
 
     def _has_grip(self, job: Job) -> bool:
-        reading = self._gripper
-        if reading is None:
-            return False
-        wanted = self.config.parts[job.part_class].grip_width
-        fits = abs(reading.width - wanted) < WIDTH_TOLERANCE
-        return fits and reading.force > LEAST_FORCE * self.config.gripper.force
+        return self.grips(self.config.parts[job.part_class].grip_width)
 
     def _open_for(self, job: Job, extra: float) -> None:
         self.motion.dynamics.set_payload(0.0)
         wanted = self.config.parts[job.part_class].grip_width + extra
-        self._grip(min(wanted, self.config.gripper.stroke))
-
-    def _grip(self, width: float) -> None:
-        self._command = GripperCommand(self.index, width, self.config.gripper.force)
+        self.set_fingers(min(wanted, self.config.gripper.stroke))
