@@ -71,3 +71,14 @@ def test_history_answers_only_where_it_reaches():
     assert history.at(0.1) is None  # dropped from the ring
     assert history.at(0.5) is None  # too far ahead
     np.testing.assert_allclose(history.at(0.30), [0.30, 0, 0], atol=1e-12)
+
+
+def test_poses_found_wrong_are_forgotten():
+    history = PoseHistory(10)
+    for k in range(6):
+        history.add(0.1 * k, np.array([float(k), 0.0, 0.0]))
+    history.forget(0.3)
+    assert history.at(0.39) is None
+    history.add(0.3, np.array([9.0, 0.0, 0.0]))
+    np.testing.assert_allclose(history.at(0.3), [9.0, 0, 0])
+    np.testing.assert_allclose(history.at(0.2), [2.0, 0, 0])

@@ -1,0 +1,104 @@
+"""Figures of the scenario `odometry` against hand-worked motions, and its drawn patches."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from evaluation.odometry import Aisle, CourseMonitor, nees
+from scenarios import odometry
+from twin.floor_plan import FOOTPRINT
+from twin.geometry import rectangle, wrap_angle
+from twin.layout import Layout, WetPatch, load_layout
+from twin.messages import CourseOrder
+from twin.recording.codec import decode, encode
+
+DT = 0.01
+WHEELS = np.array([(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)])
+AISLE = Aisle(y=-0.65, x=(5.0, 14.0), cruise=0.85)
+
+
+def watched(poses, wet=()) -> CourseMonitor:
+    """A monitor that has seen true poses (n, 3) at 100 Hz; velocities by difference."""
+    monitor, poses = CourseMonitor(wet, WHEELS), np.asarray(poses, dtype=float)
+    change = np.vstack([np.zeros(3), np.diff(poses, axis=0)])
+    change[:, 2] = wrap_angle(change[:, 2])
+    for k, (pose, step) in enumerate(zip(poses, change / DT, strict=True)):
+        monitor.observe(
+            SimpleNamespace(stamp=k * DT, truth=SimpleNamespace(pose=pose, velocity=step))
+        )
+    return monitor
+
+
+def straight(y: float, speed: float) -> np.ndarray:
+    x = np.arange(4.0, 15.0, speed * DT)
+    return np.column_stack([x, np.full(len(x), y), np.zeros(len(x))])
+
+
+def test_cross_track_is_the_distance_from_the_drawn_line_at_cruise_alone():
+    away, way = watched(straight(-0.62, 0.9)).cross_track(AISLE)
+    assert away == pytest.approx(0.03) and way == pytest.approx(9.0, abs=0.05)
+    assert np.isnan(watched(straight(-0.62, 0.5)).cross_track(AISLE)[0])
+
+
+def full_turn(angle: float, drift: float) -> np.ndarray:
+    """At rest, a turn on the spot during which the middle strays by `drift` and comes back."""
+    s = np.concatenate([np.zeros(20), np.linspace(0, 1, 500), np.ones(20)])
+    x = 3.0 + drift * np.sin(np.pi * s)
+    return np.column_stack([x, np.full(len(s), 1.0), wrap_angle(angle * s)])
+
+
+@pytest.mark.parametrize("angle", [2 * np.pi, -2 * np.pi])
+def test_turn_drift_is_the_greatest_displacement_while_turning_once(angle):
+    turned = watched(full_turn(angle, 0.04))
+    assert turned.turn_drift((3.0, 1.0)) == pytest.approx(0.04, abs=1e-4)
+    assert np.isnan(turned.turn_drift((5.0, 1.0)))
+    assert np.isnan(watched(full_turn(0.9 * angle, 0.04)).turn_drift((3.0, 1.0)))
+
+
+def test_wheels_on_a_patch_are_counted():
+    """Hand-worked: the patch covers the left wheels only, from the front ones on."""
+    patch = WetPatch(x=(5.0, 6.0), y=(0.1, 1.0))
+    poses = np.column_stack([np.arange(4.0, 7.0, 0.01), np.zeros(300), np.zeros(300)])
+    seen = watched(poses, [patch])
+    wet = seen.wheels_wet()
+    assert wet[int(0.7 / DT)] == 0 and wet[int(1.0 / DT)] == 1 and wet[int(1.5 / DT)] == 2
+    assert seen.dry_until() == pytest.approx(0.8, abs=0.011)
+    assert watched(poses).dry_until() == np.inf
+
+
+def test_an_honest_estimate_has_a_normalised_error_of_one():
+    rng = np.random.default_rng(0)
+    covariance = np.array([[4e-4, 1e-4, 0], [1e-4, 1e-4, 0], [0, 0, 1e-5]])
+    errors = rng.multivariate_normal(np.zeros(3), covariance, 4000)
+    assert nees(errors, np.tile(covariance, (4000, 1, 1))).mean() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_patches_lie_on_the_course_and_off_the_clear_aisle_and_its_turns(seed):
+    wet = odometry.patches(np.random.default_rng([seed, 1]))
+    a, (x0, x1) = odometry.AISLE, odometry.AISLE.x
+    reach = np.hypot(*FOOTPRINT) / 2
+    for p in wet:
+        in_aisle = p.x[0] < x1 + reach and p.x[1] > x0 - reach
+        assert not in_aisle or p.y[0] > a.y + reach
+    layout = load_layout()
+    dump = layout.model_dump()
+    dump["world"]["faults"]["wet"] = [p.model_dump() for p in wet]
+    Layout.model_validate(dump)
+
+
+def test_the_course_stays_clear_of_all_that_is_drawn():
+    from twin.floor_plan import machines
+    from twin.geometry import rectangles_overlap
+
+    site = load_layout().site
+    for pose in odometry.ROUTE:
+        box = rectangle(*pose, *FOOTPRINT)
+        for name, boxes in machines(site).items():
+            assert not any(rectangles_overlap(box, other) for other in boxes), (pose, name)
+
+
+def test_the_order_is_recorded_to_the_bit():
+    order = CourseOrder(0.5, odometry.ROUTE)
+    assert decode(*encode(order)) == order
