@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from evaluation.report import metrics_page
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
-from twin.layout import Layout
+from twin.layout import Layout, LayoutError
 from twin.loop import Loop, Observer, Tick
 from twin.messages import Reading
 from twin.plant.live_viewer import LiveViewer
@@ -42,7 +42,10 @@ class Simulation:
     ):
         self.request = request
         self.config = config or nominal_config(layout.site, layout.options)
-        self.stack = Stack(self.config)
+        try:
+            self.stack = Stack(self.config)
+        except ValueError as error:  # a map that cannot be read
+            raise LayoutError(f"options.map: {error}") from None
         self.plant = Plant(layout, request.seed, order)
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()

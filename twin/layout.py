@@ -135,7 +135,7 @@ class Options(Strict):
     grasp_timing: bool = True
     arms: Annotated[int, Field(ge=1, le=2)] = 2
     tags: bool = True  # floor tags correct the pose
-    map: str | None = None  # map file (YAML) to drive by; without one the drawing is the map
+    map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
 
 
 class Layout(Strict):

@@ -5,6 +5,7 @@ behaviour tree of each kind.
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from twin.stack.estimation.distance import DistanceToPick
 from twin.stack.estimation.localiser import Localiser
 from twin.stack.estimation.mapper import Mapper
 from twin.stack.estimation.odometry import WheelOdometry
-from twin.stack.estimation.site_map import floor_map
+from twin.stack.estimation.site_map import SiteMap, floor_map, load_site_map
 from twin.stack.planning.drive import Drive
 from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.arm_worker import ArmWorker
@@ -53,9 +54,20 @@ MISSIONS = {
     Order: pick_mission,
     DriveOrder: drive_mission,
     MapOrder: map_mission,
-    CourseOrder: course_mission,
     TransportOrder: transport_mission,
+    CourseOrder: course_mission,
 }
+
+
+def drivable(config: StackConfig) -> SiteMap:
+    """Where the vehicle can go: by the maps of an earlier run, else by the drawing.
+
+    Raises:
+        ValueError: one line, for a map that cannot be read.
+    """
+    if config.options.map is None:
+        return floor_map(config.site)
+    return load_site_map(Path(config.options.map) / "fused.yaml")
 
 
 class Stack:
@@ -71,7 +83,7 @@ class Stack:
         self.odometry = WheelOdometry(config.wheels, start)
         self.localiser = Localiser(config, start)
         self.mapper: Mapper | None = None  # takes the localiser's place while mapping
-        self.navigator = Navigator(config, floor_map(config.site))
+        self.navigator = Navigator(config, drivable(config))
         self.drive = Drive(config.drive)  # straight legs, without looking
         self.search = Search(config)
         self.detector = ContourDetector(config)

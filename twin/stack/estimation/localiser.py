@@ -44,7 +44,7 @@ class Localiser:
     """Pose of the vehicle in world.
 
     Args:
-        config: the nominal drawing and the options: `tags`, and `map` for a map file.
+        config: the nominal drawing and the options: `tags`, and `map` for a folder of maps.
         start: x, y, yaw believed at the start, in world, within `odometry_start_sigma`.
         settings: of AMCL.
         policy: of the tags.
@@ -68,7 +68,7 @@ class Localiser:
             seen = lidar_map(config.site, config.T_base_lidar, RESOLUTION)
             free = floor_map(config.site, RESOLUTION).room(ROOM)
         else:
-            seen = load_site_map(Path(config.options.map))
+            seen = load_site_map(Path(config.options.map) / "lidar.yaml")
             free = seen.room(ROOM)
         self.amcl = Amcl(
             seen.likelihood_field(MAX_DISTANCE),
