@@ -1,7 +1,8 @@
 """Drives a cart to and fro along its path.
 
 It stops before a vehicle that stands in its way, as the safety scanner of any such cart does, and
-goes on when the way is free. It does not give way to a vehicle that moves: that one has to see it.
+goes on when the way is free. While it goes it does not give way to a vehicle that moves: that one
+has to see it.
 """
 
 import mujoco
@@ -13,8 +14,9 @@ from twin.layout import Mover
 from twin.plant.obstacles import MOVER_OUTLINE, mover_name, mover_start
 
 ACCELERATION = 1.0  # m/s^2; guess
+CORNER_SPEED = 0.1  # m/s with which it takes a corner, and turns round; guess
 GAP = 0.3  # m that it leaves to a vehicle that stands
-STANDS = 0.05  # m/s and rad/s below which a vehicle stands
+STANDS = 0.05  # m/s and rad/s up to which vehicle or cart stand
 GAIN = 2.0  # 1/s towards the point of the path where it should be; not tuned
 LEASH = 0.10  # m that it may be off that point before the point waits
 
@@ -57,34 +59,36 @@ class MoverDriver:
             dt: time since the last call, s.
         """
         here = self.position(data)
-        wanted = 0.0 if data.time < self._mover.starts else self._allowed(here, pose, velocity)
+        wanted = 0.0 if data.time < self._mover.starts else self._allowed(pose, velocity)
         change = np.clip(wanted - self._speed, -ACCELERATION * dt, ACCELERATION * dt)
         self._speed += float(change)
-        target, direction = self._at(self._travel)
+        target, direction, _ = self._at(self._travel)
+        v = GAIN * (target - here)
         if np.linalg.norm(target - here) < LEASH:
             self._travel = (self._travel + self._speed * dt) % self._along[-1]
-            target, direction = self._at(self._travel)
-        v = self._speed * direction + GAIN * (target - here)
+            v += self._speed * direction
         data.ctrl[self._ctrl] = self._R_world_cart.T @ v
 
-    def _allowed(self, here: Array, pose: Array, velocity: Array) -> float:
-        """Speed at which it still stops in time before the vehicle, if that stands."""
-        if np.abs(velocity).max() > STANDS:
-            return self._mover.speed
+    def _allowed(self, pose: Array, velocity: Array) -> float:
+        """Speed from which it can slow down to the next corner, and stop before the vehicle."""
+        point, direction, left = self._at(self._travel)
+        speed = min(self._mover.speed, float(np.sqrt(2 * ACCELERATION * left)) + CORNER_SPEED)
+        if np.abs(velocity).max() > STANDS and self._speed > STANDS:
+            return speed
         vehicle = rectangle(*pose, *FOOTPRINT)
-        _, direction = self._at(self._travel)
         braking = self._speed**2 / (2 * ACCELERATION)
         length, width = MOVER_OUTLINE
         for ahead in np.arange(0.0, GAP + braking + 0.05, 0.05):
-            x, y = here + ahead * direction
+            x, y = point + ahead * direction
             if rectangles_overlap(rectangle(x, y, self._start[2], length, width), vehicle):
                 return 0.0
-        return self._mover.speed
+        return speed
 
-    def _at(self, travel: float) -> tuple[Array, Array]:
-        """Point of the way after `travel` metres, and its direction."""
+    def _at(self, travel: float) -> tuple[Array, Array, float]:
+        """Point of the way after `travel` metres, its direction, and what is left to the corner."""
         i = int(np.searchsorted(self._along, travel, side="right")) - 1
         i = min(i, len(self._corners) - 2)
         leg = self._corners[i + 1] - self._corners[i]
         direction = leg / np.linalg.norm(leg)
-        return self._corners[i] + (travel - self._along[i]) * direction, direction
+        point = self._corners[i] + (travel - self._along[i]) * direction
+        return point, direction, float(self._along[i + 1] - travel)
