@@ -8,6 +8,8 @@ from twin.layout import LayoutError
 from twin.plant.faults import CLEAR
 from twin.plant.mover import GAP
 from twin.plant.obstacles import MOVER_OUTLINE, OUTLINE
+from twin.plant.sensors.rendering import RenderWorker
+from twin.plant.sensors.rgbd import HEIGHT, WIDTH, RgbdCamera
 
 FLOOR_CLEAR = 'obstacles=[{{kind = "{}", pose = [{}, {}, {}], appears = {}, near = {}}}]'
 
@@ -232,6 +234,35 @@ def test_nobody_carries_the_vehicle_into_something():
     assert kinds(rig) == ["waits"]
     assert rig.faults.log[0].because.startswith("obstacle_0/")
     assert abs(rig.pose[0]) < 0.01
+
+
+def test_a_run_may_decide_to_carry_the_vehicle():
+    rig = Rig()
+    rig.drive(0.1)
+    rig.faults.carry_off((11.0, 3.65, 0.5))
+    rig.drive(0.1)
+    np.testing.assert_allclose(rig.pose, (11.0, 3.65, 0.5), atol=0.001)
+    assert kinds(rig) == ["kidnapped"]
+
+
+# --- what the depth camera sees of it -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "height"), [("black_panel", 0.6), ("glass_panel", 0.6),
+                                              ("low_box", 0.10), ("table", 0.69)])  # fmt: skip
+def test_depth_camera_sees_what_the_lidar_misses(kind, height):
+    """Expected result: depth of the near face, 1.5 m ahead of the camera, at that height."""
+    rig = Rig(obstacle(kind, x=1.835 + OUTLINE[kind][1] / 2, yaw=1.5707963))
+    worker = RenderWorker(rig.world.model)
+    try:
+        camera = RgbdCamera(worker, np.random.default_rng(0), 0.0)
+        frame = camera.sample(0.0, rig.world.model, rig.world.data).result()
+    finally:
+        worker.close()
+    focal = 0.5 * HEIGHT / np.tan(np.radians(58) / 2)
+    row = round(HEIGHT / 2 + focal * (0.62 - height) / 1.5)
+    seen = frame.depth_mm[row - 2 : row + 3, WIDTH // 2 - 20 : WIDTH // 2 + 20]
+    assert np.median(seen[seen > 0]) == pytest.approx(1500, abs=70)
 
 
 # --- all together ---------------------------------------------------------------------------------

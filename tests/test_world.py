@@ -111,6 +111,9 @@ def test_arm_forced_into_the_tray_is_a_collision():
         ("floor", "roller", None),
         ("floor", "agv", "agv-hall"),
         ("line", "agv", "agv-line"),
+        ("obstacle", "agv", "agv-obstacle"),
+        ("obstacle", "arm1", "arm-obstacle"),
+        ("obstacle", "station", None),
     ],
 )
 def test_what_counts_as_a_collision(first, second, kind):

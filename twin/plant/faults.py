@@ -81,6 +81,10 @@ class FaultDriver:
         if due and self._carry(self._kidnaps[0]):
             del self._kidnaps[0]
 
+    def carry_off(self, pose: Pose2) -> None:
+        """Carry the vehicle to a pose as soon as that is free: a kidnapping decided in the run."""
+        self._kidnaps.insert(0, Kidnap(at=max(self._world.time, 1e-3), pose=pose))
+
     def _is_due(self, index: int, obstacle: Obstacle, pose) -> bool:
         """From `appears` on, and once the vehicle has come near."""
         if index in self._triggered:
