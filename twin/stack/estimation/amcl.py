@@ -18,7 +18,7 @@ from twin.messages import LidarScan
 from twin.stack.estimation.beam_model import BeamModel, ScanLikelihood, beam_density
 from twin.stack.estimation.clusters import heaviest, mean_and_covariance
 from twin.stack.estimation.global_search import GlobalSearch
-from twin.stack.estimation.kld import Kld, draw, low_variance
+from twin.stack.estimation.kld import Kld, count_bins, draw, low_variance
 from twin.stack.estimation.likelihood_field import LikelihoodField
 from twin.stack.estimation.motion_models import MotionNoise, omnidirectional
 from twin.stack.estimation.scans import scan_fault
@@ -146,7 +146,12 @@ class Amcl:
         self.stamp = scan.stamp
         rest = self._odometry is not None
         rest = rest and np.hypot(*step[:2]) < s.min_path and abs(step[2]) < s.min_turn
-        if self._judged and rest and not self.lost and self._fits(compose2(self.pose, step), p_base, silent):
+        if (
+            self._judged
+            and rest
+            and not self.lost
+            and self._fits(compose2(self.pose, step), p_base, silent)
+        ):
             return None
         self._odometry, self._scan = odometry, (p_base, silent)
         self.updates += 1
@@ -244,14 +249,28 @@ class Amcl:
         recovery = self._recovery()
         if recovery == 0 and self.effective > self.settings.redraw_below * len(self.weights):
             return
-        drawn = draw(self.particles, self.weights, self.settings.kld, self._rng.random())
-        found = int(recovery * len(drawn))
-        if found:
-            drawn = low_variance(self.weights, len(drawn) - found, self._rng.random())
+        kld = self.settings.kld
+        kept = np.take(
+            self.particles, draw(self.particles, self.weights, kld, self._rng.random()), axis=0
+        )
+        self._set(self._mixed(len(kept), recovery, p_base, silent) if recovery else kept)
+
+    def _mixed(self, n: int, recovery: float, p_base: Array, silent: int) -> Array:
+        """The cloud with a share of it drawn anew, as many in all as the places they fill ask for.
+
+        Shape (m, 3), m at least n.
+        """
+        kld = self.settings.kld
+        while True:
+            found = int(recovery * n)
+            old = low_variance(self.weights, n - found, self._rng.random())
             fresh = self._search.fitting(p_base, silent, found, self._rng)
-            self._set(np.concatenate([self.particles[drawn], fresh]))
-        else:
-            self._set(np.take(self.particles, drawn, axis=0))
+            cloud = np.concatenate([np.take(self.particles, old, axis=0), fresh])
+            wanted = kld.count(count_bins(cloud, kld.bin_size))
+            if wanted <= n:
+                return cloud
+            # More of them fill more places: half again beyond what is wanted ends the search soon.
+            n = min(max(wanted, n + n // 2), kld.most)
 
     def _estimate(self) -> None:
         inside = heaviest(self.particles, self.weights)
