@@ -21,7 +21,7 @@ def random_map(seed: int, share: float = 0.25, size=(26, 31)) -> Costmap:
     return Costmap(cells, 0.5, np.array([-3.0, 1.0]))
 
 
-def dijkstra(weight, start, goal) -> float:
+def dijkstra(weight, start, goal, diagonal=astar.DIAGONAL) -> float:
     """Cheapest way by exhaustive relaxation: every cell, no heuristic."""
     best = np.full(weight.shape, np.inf)
     best[start] = 0.0
@@ -37,7 +37,7 @@ def dijkstra(weight, start, goal) -> float:
                     continue
                 if np.isinf(weight[i, q]) or np.isinf(weight[p, j]):
                     continue
-                total = cost + np.hypot(di, dj) * weight[p, q]
+                total = cost + (diagonal if di and dj else 1.0) * weight[p, q]
                 if total < best[p, q]:
                     best[p, q] = total
                     heapq.heappush(heap, (total, (p, q)))
@@ -141,3 +141,28 @@ def test_a_way_that_becomes_blocked_is_noticed():
     states[20, 40] = 100
     costmap = inflate(states, 0.05, (0, 0), Footprint())
     assert astar.blocked(costmap, path.xy) and not astar.blocked(costmap, path.xy[:20])
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 6.0), st.sampled_from([1.0, astar.DIAGONAL]))
+def test_cost_is_the_least_however_far_apart_the_weights_lie(seed, decades, diagonal):
+    """Weights from 1 to a million: buckets grow with them, the cost stays the least."""
+    rng = np.random.default_rng(seed)
+    weight = 10.0 ** rng.uniform(0, decades, (23, 19))
+    weight[rng.random(weight.shape) < 0.2] = np.inf
+    free = np.argwhere(np.isfinite(weight))
+    start, goal = (tuple(free[k]) for k in rng.integers(0, len(free), 2))
+    cost, parents = astar.search(weight, *start, *goal, diagonal)
+    assert cost == pytest.approx(dijkstra(weight, start, goal, diagonal), rel=1e-9)
+    if np.isfinite(cost):
+        cells = astar.trace(parents, start, goal, weight.shape[1])
+        steps = np.where(np.all(np.diff(cells, axis=0), axis=1), diagonal, 1.0)
+        assert cost == pytest.approx((weight[tuple(cells[1:].T)] * steps).sum(), rel=1e-9)
+
+
+def test_a_wide_map_outgrows_the_queue_and_is_searched_all_the_same():
+    """Hand-worked: 400 diagonal steps at a weight of 5, of which the estimate knows a fifth."""
+    weight = np.full((900, 900), 5.0)
+    weight[0, 0] = 1.0
+    cost, _ = astar.search(weight, 450, 450, 850, 850, astar.DIAGONAL)
+    assert cost == pytest.approx(400 * 5 * np.sqrt(2))

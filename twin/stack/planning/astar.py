@@ -2,7 +2,7 @@
 
 Eight neighbours; a step costs its length times the weight of the cell that it enters. A diagonal
 step needs both cells beside it free, so no corner is cut. The octile distance at the least weight
-never overestimates and is consistent: the first time a cell leaves the heap its cost is final.
+never overestimates and is consistent: from start to goal the estimate of the whole way only grows.
 """
 
 import math
@@ -16,6 +16,10 @@ from twin.geometry import Array
 from twin.stack.planning.costmap import INSCRIBED, LETHAL, UNKNOWN, Costmap
 
 DIAGONAL = math.sqrt(2.0)
+BUCKET = (
+    0.02  # cells of estimated cost that share a bucket of the queue: wider ones sort too little
+)
+DOWN, RIGHT = (-1, 1, 0, 0, -1, -1, 1, 1), (0, 0, -1, 1, -1, 1, -1, 1)  # diagonal steps last
 ESCAPE = 100.0  # weight of an inscribed cell near the start: only ever a way out
 
 
@@ -118,63 +122,95 @@ def blocked(costmap: Costmap, xy: Array) -> bool:
 def search(weight, i0, j0, i1, j1, diagonal):
     """Cost of the cheapest way and each cell's parent (-1: none).
 
+    The queue is one of buckets (Dial 1969): cells whose estimated cost of the whole way lies within
+    `BUCKET` share one, the last in goes out first, and neither takes a comparison. A cell taken out
+    of order is put in again when a cheaper way to it is found, and nothing ends before the buckets
+    below the goal's cost are empty; so the cost found is the least, to the last bit.
+
     Parents are flat indices into the map with a border of one cell, as `trace` reads them.
 
     Args:
-        weight: of entering a cell, at least 1; inf is closed. Shape (h, w).
+        weight: of entering a cell, at least 1; inf is closed. Shape (h, w), below 65535 a side.
         i0, j0: start.
         i1, j1: goal.
         diagonal: length of a diagonal step in cells.
     """
-    # A closed border spares the test for the map's edge; unsigned indices spare numba's for < 0.
+    # A closed border spares the test for the map's edge.
     rows, width = weight.shape[0] + 2, weight.shape[1] + 2
-    table = np.full(rows * width, np.inf)
+    table, dearest = np.full(rows * width, np.inf), 1.0
     for i in range(1, rows - 1):
         for j in range(1, width - 1):
-            table[i * width + j] = weight[i - 1, j - 1]
-    start, goal = np.uint32((i0 + 1) * width + j0 + 1), np.uint32((i1 + 1) * width + j1 + 1)
-    down = np.array([-1, 1, 0, 0, -1, -1, 1, 1])
-    right = np.array([0, 0, -1, 1, -1, 1, -1, 1])
-    moves = down * width + right
-    # The two cells that a diagonal step passes between, as the numbers of their own moves.
-    first, second = np.array([0, 0, 1, 1]), np.array([2, 3, 2, 3])
-    closed = np.zeros(4, dtype=np.bool_)
-    g = np.full(rows * width, np.inf)
+            entering = weight[i - 1, j - 1]
+            table[i * width + j] = entering
+            if dearest < entering < np.inf:
+                dearest = entering
+    g = np.full(rows * width, np.inf)  # cost from the start; negative while settled
     parent = np.full(rows * width, -1, dtype=np.int32)
-    keys, items = np.empty(8192), np.empty(8192, dtype=np.uint32)
-    size = _push(keys, items, 0, 0.0, start)
-    g[start] = 0.0
-    shorter = diagonal - 1.0
-    while size > 0:
-        here = items[0]
-        size = _pop(keys, items, size)
-        so_far = g[here]
-        if so_far < 0.0:  # settled earlier
+
+    # Buckets are used in turn: no step raises the estimate by more than all of them span.
+    most = diagonal * (dearest + 2.0)
+    bucket = max(BUCKET, most / 2**16)
+    turn = 1
+    while turn * bucket < most + 2.0 * bucket:
+        turn *= 2
+    first = np.full(turn, -1, dtype=np.int32)  # entry in each bucket; they are chained by `after`
+    after, cells = np.empty(1024, dtype=np.int32), np.empty(1024, dtype=np.uint32)
+    unused, size, waiting = -1, 1, 1  # chain of entries to be used again; entries; in buckets
+
+    shorter, goal = diagonal - 1.0, (i1 + 1) * width + j1 + 1
+    a, b = abs(i0 - i1), abs(j0 - j1)
+    level = np.int64((max(a, b) + shorter * min(a, b)) / bucket)  # the bucket under way
+    first[level & (turn - 1)], after[0], cells[0] = 0, -1, (i0 + 1) << 16 | (j0 + 1)
+    g[(i0 + 1) * width + j0 + 1] = 0.0
+    found = np.inf
+    while waiting > 0:
+        entry = first[level & (turn - 1)]
+        if entry < 0:
+            level += 1
+            if level * bucket >= found:
+                break
             continue
-        if here == goal:
-            break
-        g[here] = -1.0
-        if size + 8 > keys.shape[0]:
-            keys = np.concatenate((keys, np.empty(keys.shape[0])))
-            items = np.concatenate((items, np.empty(items.shape[0], dtype=np.uint32)))
-        i = np.int64(here) // width - (i1 + 1)
-        j = np.int64(here) % width - (j1 + 1)
+        first[level & (turn - 1)] = after[entry]
+        after[entry], unused = unused, entry
+        waiting -= 1
+        i, j = np.int64(cells[entry] >> 16), np.int64(cells[entry] & 0xFFFF)
+        here = i * width + j
+        so_far = g[here]
+        if so_far < 0.0 or here == goal:
+            continue
+        g[here] = -so_far
+        if size + 8 > len(cells):
+            after = np.concatenate((after, np.empty_like(after)))
+            cells = np.concatenate((cells, np.empty_like(cells)))
         for m in range(8):
-            there = np.uint32(here + moves[m])
+            di, dj = DOWN[m], RIGHT[m]
+            there = here + di * width + dj
             cost = table[there]
-            if m < 4:
-                closed[m] = cost == np.inf
-            else:
-                if closed[first[m - 4]] or closed[second[m - 4]]:
+            if m >= 4:
+                if table[here + di * width] == np.inf or table[here + dj] == np.inf:
                     continue
                 cost *= diagonal
             total = so_far + cost
-            if total < g[there]:
-                g[there], parent[there] = total, here
-                a, b = abs(i + down[m]), abs(j + right[m])
-                guess = max(a, b) + shorter * min(a, b)
-                size = _push(keys, items, size, total + guess, there)
-    return g[goal], parent
+            if total >= abs(g[there]):
+                continue
+            a, b = abs(i + di - i1 - 1), abs(j + dj - j1 - 1)
+            estimate = total + max(a, b) + shorter * min(a, b)
+            if estimate >= found:
+                continue
+            g[there], parent[there] = total, here
+            if there == goal:
+                found = total
+                continue
+            if unused < 0:
+                entry, size = size, size + 1
+            else:
+                entry, unused = unused, after[unused]
+            # rounding must not put it into a bucket that is through
+            k = max(np.int64(estimate / bucket), level) & (turn - 1)
+            cells[entry] = (i + di) << 16 | (j + dj)
+            after[entry], first[k] = first[k], entry
+            waiting += 1
+    return abs(g[goal]), parent
 
 
 def trace(parents: NDArray[np.int32], start: tuple[int, int], goal: tuple[int, int], width: int):
@@ -185,39 +221,3 @@ def trace(parents: NDArray[np.int32], start: tuple[int, int], goal: tuple[int, i
         here = int(parents[here])
         flat.append(here)
     return np.stack(np.divmod(np.array(flat[::-1], dtype=np.int64), width + 2), axis=1) - 1
-
-
-@njit(cache=True)
-def _push(keys, items, size, key, item):
-    """Into a heap of four children a node; returns its new size."""
-    k = size
-    while k > 0:
-        up = (k - 1) >> 2
-        if keys[up] < key:  # of equal keys the newest comes first: it is the farthest on
-            break
-        keys[k], items[k] = keys[up], items[up]
-        k = up
-    keys[k], items[k] = key, item
-    return size + 1
-
-
-@njit(cache=True)
-def _pop(keys, items, size):
-    """Drop the least; returns the heap's new size."""
-    size -= 1
-    key, item = keys[size], items[size]
-    k = 0
-    while True:
-        child = 4 * k + 1
-        if child >= size:
-            break
-        least = child
-        for other in range(child + 1, min(child + 4, size)):
-            if keys[other] < keys[least]:
-                least = other
-        if keys[least] >= key:
-            break
-        keys[k], items[k] = keys[least], items[least]
-        k = least
-    keys[k], items[k] = key, item
-    return size
