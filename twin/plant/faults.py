@@ -102,8 +102,9 @@ class FaultDriver:
         name = obstacle_name(index)
         if not self._may_look(name):
             return False
-        grown = 2 * (CLEAR + float(velocity @ velocity) / (2 * BRAKING))
-        vehicle = rectangle(*pose, FOOTPRINT[0] + grown, FOOTPRINT[1] + grown)
+        x, y, yaw = pose
+        grown = 2 * (CLEAR + float(velocity[:2] @ velocity[:2]) / (2 * BRAKING))
+        vehicle = rectangle(x, y, yaw, FOOTPRINT[0] + grown, FOOTPRINT[1] + grown)
         outline = rectangle(*obstacle.pose, *OUTLINE[obstacle.kind])
         joint, place = f"{name}free", (*obstacle.pose[:2], LIFT)
         quat = quat_wxyz(pose2_to_transform(obstacle.pose)[:3, :3])

@@ -78,7 +78,8 @@ class MoverDriver:
             return speed
         if np.linalg.norm(pose[:2] - point) > FAR:
             return speed
-        vehicle = rectangle(*pose, *FOOTPRINT)
+        x, y, yaw = pose
+        vehicle = rectangle(x, y, yaw, *FOOTPRINT)
         braking = self._speed**2 / (2 * ACCELERATION)
         length, width = MOVER_OUTLINE
         for ahead in np.arange(0.0, GAP + braking + 0.05, 0.05):
