@@ -38,10 +38,10 @@ def transport_mission(stack: "Stack") -> Behaviour:
     job = Transport(stack)
     if goods_in is None:
         return Act("no goods-in", lambda: False, failed=job.no_goods_in)
-    look = compose2(goods_in, (-LOOK_BACK, 0.0, 0.0))
+    x, y, yaw = (float(v) for v in compose2(goods_in, (-LOOK_BACK, 0.0, 0.0)))
     return sequence(
         "transport",
-        stack.go(Goal("goods in", tuple(float(x) for x in look))),
+        stack.go(Goal("goods in", (x, y, yaw))),
         Act("read goods code", job.read, job.look, job.unread),
         stack.straight("to the parcel", goods_in),
         Act("load", job.carried, job.load, job.dropped),
