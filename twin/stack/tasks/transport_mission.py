@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from py_trees.common import Status
 
-from twin.floor_plan import rack_stop
+from twin.floor_plan import FOOTPRINT, rack_stop
 from twin.geometry import Array, between2, compose2, wrap_angle
 from twin.messages import CameraFrame, Goal
 from twin.site import Tag
@@ -29,6 +29,7 @@ SIGHTS = 5  # readings of the goods code that are averaged
 AGREE = 0.003  # m within which they must lie of each other
 PATIENCE = 5.0  # s for them, standing
 ARM = 0  # the front arm carries
+BEND = 0.35  # rad by which the way may bend without a turn on the spot before it
 ARRIVED = 0.5  # m: a route starts at the tag that the vehicle stands on, if it stands on one
 
 
@@ -158,21 +159,47 @@ class Transport:
         return way[1:] if here and len(way) > 1 else way
 
 
+def goals_along(pose: Array, route: list[Tag]) -> list[Goal]:
+    """A goal at each tag, and a turn on the spot where the way bends.
+
+    The depth camera looks ahead alone, and what is low the lidar does not see: so the vehicle faces
+    the way that it drives. Only a step shorter than itself is made sideways, in the tag's heading.
+
+    Args:
+        pose: x, y, yaw in world where it stands.
+        route: tags to drive to, in order.
+    """
+    goals: list[Goal] = []
+    x, y, yaw, name = *(float(v) for v in pose), "start"
+    for tag in route:
+        dx, dy = tag.pose[0] - x, tag.pose[1] - y
+        if np.hypot(dx, dy) < FOOTPRINT[0]:
+            heading = tag.pose[2]
+        else:
+            heading = float(np.arctan2(dy, dx))
+            if abs(wrap_angle(heading - yaw)) > BEND:
+                goals.append(Goal(f"turn at {name}", (x, y, heading)))
+        x, y, yaw, name = tag.pose[0], tag.pose[1], heading, f"tag {tag.name}"
+        goals.append(Goal(name, (x, y, yaw)))
+    return goals
+
+
 class TagDrive(Behaviour):
     """Drives from tag to tag; one on the way that cannot be reached is left out."""
 
     def __init__(self, name: str, job: Transport):
         super().__init__(name)
         self._job = job
-        self._left: list[Tag] = []
+        self._left: list[Goal] = []
         self._last = True  # whether the tag under way is the route's last
         self._lost_way = False
 
     def initialise(self) -> None:
         self._last = self._lost_way = False
         try:
-            self._left = self._job.route()
-            self._job.say(f"from tag to tag: {' '.join(tag.name for tag in self._left)}")
+            route = self._job.route()
+            self._job.say(f"from tag to tag: {' '.join(tag.name for tag in route)}")
+            self._left = goals_along(self._job.stack.pose, route)
         except ValueError as error:
             self._job.say(f"transport: {error}")
             self._lost_way = True
@@ -186,7 +213,7 @@ class TagDrive(Behaviour):
         if self._last:
             reached = stack.navigator.outcome == "reached"
             return Status.SUCCESS if reached else Status.FAILURE
-        tag = self._left.pop(0)
+        goal = self._left.pop(0)
         self._last = not self._left
-        stack.navigator.go(stack.now, Goal(f"tag {tag.name}", tag.pose))
+        stack.navigator.go(stack.now, goal)
         return Status.RUNNING
