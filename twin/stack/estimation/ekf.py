@@ -209,9 +209,9 @@ class MotionEkf(ExtendedKalmanFilter):
         self.P[POSE, POSE] = covariance
         return inside
 
-    def loosen_twist(self) -> None:
-        """Give up the belief in the velocity: the wheels contradict it, and they do not slip."""
-        self.P[TWIST, TWIST] += np.diag(np.square(self.noise.mistaken))
+    def loosen_twist(self, offset: Array) -> None:
+        """Give up the belief in the velocity: wheels that do not slip contradict it by (3,)."""
+        self.P[TWIST, TWIST] += np.diag(np.square(self.noise.mistaken) + np.square(offset))
 
     def forget_slip(self) -> None:
         """Wheels that grip again slip by an amount that has nothing to do with the one before."""

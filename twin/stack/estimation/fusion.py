@@ -46,6 +46,7 @@ class FusedOdometry:
         self.ignored = 0  # readings that came too late or were broken
         self.standing = False
         self.slip = SlipMonitor()
+        self._shaken = False  # an inertial reading was dropped: what it told is missing
         self._rewind = Rewind(self.ekf, REWIND)
         # Since the vehicle stands: pose, wheels and covariance of the moment it came to rest.
         self._parked: tuple[Array, WheelState, Array] | None = None
@@ -110,6 +111,7 @@ class FusedOdometry:
             return False
         wild = np.max(np.abs(reading.accel[:2])) > MAX_ACCEL or abs(reading.gyro[2]) > MAX_RATE
         self.ignored += bool(wild)
+        self._shaken |= bool(wild)
         return not wild
 
     def _is_silent(self, newest: float) -> bool:
@@ -154,12 +156,13 @@ class FusedOdometry:
         before = slip.slipping
         closes = slip.closes(closure(self._wheels, speeds), mean)
         inside = ekf.agrees(mean, interval) and bool(np.sum(ekf.x[SLIP] ** 2) < SLIP_GATE)
-        if not slip.update(stamp, closes, inside, mean - ekf.x[TWIST]):
+        shaken, self._shaken = self._shaken, False
+        if not slip.update(stamp, closes, inside, mean - ekf.x[TWIST], shaken):
             if not before:
                 self._take_back()
             return
         if slip.mistaken:
-            ekf.loosen_twist()
+            ekf.loosen_twist(mean - ekf.x[TWIST])
         if before:
             ekf.forget_slip()
         ekf.update_wheels(mean, interval)

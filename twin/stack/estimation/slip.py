@@ -68,7 +68,9 @@ class SlipMonitor:
         size = np.dot(self.limits.closure, (1.0, abs(twist[1]), abs(twist[2])))
         return abs(residual) <= self.limits.sigmas * size
 
-    def update(self, stamp: float, closes: bool, inside: bool, offset: Array) -> bool:
+    def update(
+        self, stamp: float, closes: bool, inside: bool, offset: Array, shaken: bool = False
+    ) -> bool:
         """Take a reading of the wheels; returns whether it may correct the estimate.
 
         Args:
@@ -76,8 +78,13 @@ class SlipMonitor:
             closes: whether the four wheels agree among each other.
             inside: whether they agree with the estimate.
             offset: velocity of the wheels less the estimate's. Shape (3,).
+            shaken: whether an inertial reading was dropped since the last call: then it is the
+                estimate that lacks something.
         """
-        self.mistaken = False
+        self.mistaken = shaken and closes and not inside
+        if self.mistaken:
+            self.slipping = False
+            return True
         if not (closes and inside):
             if not self.slipping:
                 self.slipping, self._since = True, stamp
