@@ -1,8 +1,8 @@
 """True cells of a map: every surface visible from the driven path inside the vehicle's height band.
 
-Definition: from points of the true path, a quarter of a metre apart, level rays go out at heights
-of 0.05 to 1.05 m in steps of 25 mm (the band that the vehicle's body takes up, with its margin);
-the cells of their first hits, over all heights, are the true occupied cells. Glass and black panels
+Definition: from points of the true path, 0.4 m apart, level rays go out at heights
+of 0.05 to 1.05 m, 25 mm apart (the band that the vehicle's body takes up, with its margin); the
+cells of their first hits, over all heights, are the true occupied cells. Glass and black panels
 are surfaces. Level faces (a table's top seen from above) are not met by level rays; their edges
 are.
 """
@@ -17,8 +17,9 @@ from twin.layout import Layout
 from twin.plant.surfaces import visible_cells
 from twin.plant.world import World
 
-HEIGHTS = np.arange(0.05, 1.0501, 0.025)  # m
-SPACING = 0.25  # m between eyes on the path
+# m; beside round figures, since a ray along a level face meets it or not by rounding
+HEIGHTS = np.arange(0.0525, 1.05, 0.025)
+SPACING = 0.40  # m between eyes on the path
 AHEAD = 0.30  # m from the base's middle to lidar and depth camera, from where the vehicle looks
 
 

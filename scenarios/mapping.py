@@ -27,7 +27,8 @@ LONGEST = 420.0  # s of simulated time after which the run is given up
 WRONG_SHIFT, WRONG_TURN = 0.030, np.radians(2.0)  # by which the camera's drawing is wrong
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 # Past everything: west of the belt, through the door to goods-in, then aisle by aisle from north
-# to south; the cross aisle W is met again at each.
+# to south; the cross aisle W is met again at each. Into an aisle it looks along it from the start:
+# turning on the way, it would pass the first metres of shelf unseen.
 ROUTE = (
     ("belt west", (2.4, 1.6, NORTH)),
     ("belt north-west", (2.4, 4.5, NORTH)),
@@ -35,16 +36,20 @@ ROUTE = (
     ("G0", (5.2, 6.9, EAST)),
     ("W4", (7.35, 7.45, EAST)),
     ("W3", (7.35, 5.75, SOUTH)),
+    ("W3 east", (7.35, 5.75, EAST)),
     ("M3", (11.0, 5.75, EAST)),
     ("M4 west", (11.0, 7.4, WEST)),
     ("M4 east", (11.0, 7.4, EAST)),
     ("E3", (14.55, 5.75, EAST)),
     ("E3 north", (14.55, 5.9, NORTH)),
     ("E2", (14.55, 3.65, SOUTH)),
+    ("E2 west", (14.55, 3.65, WEST)),
     ("W2", (7.35, 3.65, WEST)),
     ("W1", (7.35, 1.55, SOUTH)),
+    ("W1 east", (7.35, 1.55, EAST)),
     ("E1", (14.55, 1.55, EAST)),
     ("E0", (14.55, -0.65, SOUTH)),
+    ("E0 west", (14.55, -0.65, WEST)),
     ("W0", (7.35, -0.65, WEST)),
     ("C0", (5.65, -0.65, WEST)),
     ("L0", (4.4, 0.3, NORTH)),

@@ -16,7 +16,7 @@ from twin.plant.obstacles import obstacle_name
 from twin.plant.sensors.lidar import GROUPS
 from twin.plant.world import World
 
-BEAMS = 1440  # rays in a turn: 44 mm apart at 10 m
+BEAMS = 1080  # rays in a turn: 58 mm apart at 10 m
 LONGEST = 30.0  # m
 
 

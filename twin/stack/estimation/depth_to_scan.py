@@ -5,7 +5,7 @@ heading of the optical axis, y left, z up. Rays of the camera are turned into it
 pixel's beam does not depend on its depth, and a picture costs a few operations a pixel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -32,6 +32,8 @@ class DepthNoise:
     max_range: float = 3.0  # m, beyond which noise lifts the floor into the band
     sigmas: float = 3.0  # by which a pixel below the camera must rise above the band's foot
     support: int = 3  # pixels that must agree on a beam's range
+    deep_range: float = 2.0  # m up to which surfaces behind the first are told apart: 3 sigma 0.1 m
+    deep_support: int = 12  # pixels within BIN that make one: more than a level face gives
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,9 @@ class DepthScan:
     scan: LidarScan
     clear_to: Array  # (n,) m: floor seen up to there, for beams without a return
     sensor_pose: Array  # (3,) x, y, yaw of the level frame in base
+    # x, y in level of upright surfaces behind the first of their beam: goods on a shelf behind
+    # its edge, seen over or under it. Shape (k, 2), m.
+    behind: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 class DepthToScan:
@@ -100,21 +105,31 @@ class DepthToScan:
         if self.fault is not None:
             return None
         n, band = self._noise, self._band
-        ranges, clear_to = _project(
+        ranges, clear_to, deep = _project(
             np.ascontiguousarray(depth),
             (self._beam, self._reach, self._rise),
             self.beams,
             (float(self._camera.T_base_camera[2, 3]), band.low, band.high),
             (n.at_1m, n.max_range, n.sigmas, n.support),
+            (n.deep_range, n.deep_support),
         )
         first = self._start + 0.5 * self.increment  # the middle of the first beam
         scan = LidarScan(frame.stamp, first, self.increment, ranges, n.max_range)
-        return DepthScan(scan, clear_to, self.sensor_pose)
+        angle = first + self.increment * deep[:, 0]
+        behind = deep[:, 1:] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return DepthScan(scan, clear_to, self.sensor_pose, behind)
+
+
+BIN = 0.05  # m of range in which pixels of a beam count as one surface
+APART = 0.12  # m by which a surface must lie behind the first
 
 
 @njit(cache=True)
-def _project(depth: NDArray[np.uint16], rays, beams, heights, noise):
-    """Range of each beam, inf without a return, and the distance up to which floor was seen."""
+def _project(depth: NDArray[np.uint16], rays, beams, heights, noise, deep):
+    """Range of each beam, inf without a return; how far floor was seen; surfaces behind the first.
+
+    The last are beam and range, shape (k, 2).
+    """
     beam, reach, rise = rays
     camera, low, high = heights
     at_1m, longest, sigmas, support = noise
@@ -149,4 +164,28 @@ def _project(depth: NDArray[np.uint16], rays, beams, heights, noise):
             ranges[b] = total[b] / count[b]
         elif count[b] > 0:
             clear[b] = min(clear[b], nearest[b])  # something may be there
-    return ranges, clear
+    return ranges, clear, _behind(in_band, beam, ranges, *deep)
+
+
+@njit(cache=True)
+def _behind(in_band, beam, ranges, longest, support):
+    """Peaks of the pixels' ranges behind the first surface of each beam."""
+    h, w = in_band.shape
+    bins = int(longest / BIN) + 2
+    count, total = np.zeros((len(ranges), bins), dtype=np.int32), np.zeros((len(ranges), bins))
+    for v in range(h):
+        for u in range(w):
+            r, b = in_band[v, u], beam[v, u]
+            if r > 0 and r < longest and r > ranges[b] + APART:
+                k = int(r / BIN)
+                count[b, k] += 1
+                total[b, k] += r
+    found = np.empty((len(ranges) * 4, 2))
+    n = 0
+    for b in range(len(ranges)):
+        for k in range(1, bins - 1):
+            c = count[b, k]
+            if c >= support and c >= count[b, k - 1] and c > count[b, k + 1] and n < len(found):
+                found[n, 0], found[n, 1] = b, total[b, k] / c
+                n += 1
+    return found[:n]

@@ -20,7 +20,7 @@ from twin.stack.estimation.grid_fusion import fuse
 from twin.stack.estimation.map_file import save_map
 from twin.stack.estimation.occupancy_grid import OccupancyGrid
 from twin.stack.estimation.scans import without_offset
-from twin.stack.estimation.site_map import MARGIN, RESOLUTION, SiteMap
+from twin.stack.estimation.site_map import SiteMap
 from twin.stack.estimation.slam import Slam, SlamSettings
 from twin.stack.estimation.vehicle_calibration import Calibration, CalibrationRun
 
@@ -31,8 +31,8 @@ MAPS = ("lidar", "rgbd", "fused")
 
 @dataclass(frozen=True)
 class MapperSettings:
-    resolution: float = RESOLUTION  # m, edge of a cell
-    margin: float = MARGIN * RESOLUTION  # m about the drawn hall
+    resolution: float = 0.05  # m, edge of a cell
+    margin: float = 0.50  # m about the drawn hall: end points may fall behind a wall
     surveyed: bool = True  # the drawn walls hold the map in world; False maps from the start alone
     slam: SlamSettings = field(default_factory=SlamSettings)
 

@@ -144,6 +144,15 @@ class OccupancyGrid:
         )
         return None
 
+    def insert_hits(self, points: Array, model: SensorModel) -> None:
+        """Raise the cells in which points lie, each once. In world, m, shape (n, 2)."""
+        points = np.asarray(points, dtype=float).reshape(-1, 2)
+        cells = self.cells(points[np.all(np.isfinite(points), axis=1)])
+        inside = np.all((cells >= 0) & (cells < self.shape), axis=1)
+        rows, columns = cells[inside].T
+        raised = np.minimum(self.log_odds[rows, columns] + model.hit, model.limit)
+        self.log_odds[rows, columns] = raised  # cells that come twice get the same value
+
 
 def _logit(probability: float) -> float:
     return float(np.log(probability / (1 - probability)))

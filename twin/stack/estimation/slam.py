@@ -188,7 +188,9 @@ class Slam:
             self._renew_field()
 
     def _draw_depth(self, depth: DepthScan, sensor: Array) -> None:
-        self.rgbd.insert_scan(depth.scan, sensor, self.settings.rgbd, depth.clear_to)
+        model = self.settings.rgbd
+        self.rgbd.insert_scan(depth.scan, sensor, model, depth.clear_to)
+        self.rgbd.insert_hits(compose_points(sensor, depth.behind), model)
 
     def _predict(self, moved: Array) -> None:
         """Motion model, Xu et al., Eq. 1; u grows with the root of distance and turn."""
