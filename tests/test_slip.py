@@ -197,6 +197,24 @@ def test_a_blow_too_hard_to_measure_is_set_right_at_once():
     assert np.hypot(*(fused.pose(fused.stamp) - before)[:2]) < 0.02
 
 
+def test_arms_at_work_shake_a_parked_vehicle_without_making_it_slip():
+    """Expected: wheels that jerk by some counts, and a deck that tilts, leave it parked."""
+    fused = FusedOdometry(CONFIG, np.zeros(3))
+    drive(fused, 3.0, still, still, np.random.default_rng(6))
+    rest = fused.pose(fused.stamp)
+    for k in range(200):
+        jerk = np.array([30, -20, 10, 40]) * (k // 20 % 2)  # counts, from one reading to the next
+        stamp = fused.stamp + DT
+        fused.step(
+            [
+                WheelState(stamp, jerk.astype(np.int64), np.zeros(4), np.zeros(3)),
+                ImuReading(stamp, np.array([0.1, 0.0, GRAVITY]), np.zeros(3)),
+            ]
+        )
+        assert fused.standing and not fused.slip.slipping
+    assert np.hypot(*(fused.pose(fused.stamp) - rest)[:2]) < 0.001
+
+
 def test_limits_can_be_chosen():
     patient = SlipMonitor(replace(SlipLimits(), grip_time=1.0))
     patient.update(0.0, False, True, np.zeros(3))

@@ -138,8 +138,13 @@ class FusedOdometry:
         interval = wheel.stamp - last.stamp
         moved = wheel.ticks - last.ticks
         mean = displacement(self._wheels, moved) / interval
-        self._believe(wheel.stamp, mean, moved * self._rim_angle / interval, interval)
-        self.standing = not self.slip.slipping and self._wheels_stand(wheel)
+        stands = self._wheels_stand(wheel)
+        if self._parked is not None and stands:  # arms at work shake the wheels: that is no slip
+            self.ekf.update_wheels(mean, interval)
+        else:
+            self._believe(wheel.stamp, mean, moved * self._rim_angle / interval, interval)
+        # Wheels may be locked while the vehicle slides on: it is parked once they grip.
+        self.standing = stands and not self.slip.slipping
         if not self.standing:
             self._parked = None
             return
