@@ -1,0 +1,252 @@
+"""Raw stamps in, 6-DoF pose of the vehicle with its covariance out, or a named reason why not.
+
+`Locator.fix` is our estimator: clocks by a line, all visible nodes at once, each crossing at its
+own instant, outliers rejected, never without redundancy. `Locator.source_fix` is the method of
+Liu et al. 2022 beside it: neighbouring pulses, the speed of the revolution before, three nodes in
+closed form and a fourth to choose.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.geometry import Array, inverse, transform
+from twin.stack.estimation.beacons.angles import (
+    TAU,
+    Crossings,
+    measure,
+    normals,
+    rays,
+    rotation_angle,
+)
+from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
+from twin.stack.estimation.beacons.consensus import find_poses
+from twin.stack.estimation.beacons.p3p import DANGER, p3p, p3p_checked, triple_fault
+from twin.stack.estimation.beacons.refine import head_twist, motion
+from twin.stack.estimation.beacons.settle import Settled, settle
+from twin.stack.estimation.beacons.stamps import (
+    PLANE_1,
+    PLANE_2,
+    T0,
+    Counter,
+    HeadParameters,
+    NodeSurvey,
+    NoFix,
+    Noise,
+    Reason,
+    StampBatch,
+    SyncSequence,
+)
+
+STILL = 1e-6  # m/s and rad/s below which a revolution needs no correction for motion
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Pose of the vehicle from one revolution.
+
+    Attributes:
+        T_world_base: in the middle of the revolution. Shape (4, 4).
+        covariance: shift in world axes, m, then turn in base axes, rad. Shape (6, 6).
+        time: of that instant, s of the synchronising sequence (see `clocks`).
+        T_world_head: the same of the head. Shape (4, 4).
+        head_covariance: the same for the head, turn in head axes. Shape (6, 6).
+        used: (node, plane 1 or 2) of the crossings in the fix.
+        rejected: those that contradicted it: reflections.
+        chi_square, freedom: of the residuals.
+    """
+
+    T_world_base: Array
+    covariance: Array
+    time: float
+    T_world_head: Array
+    head_covariance: Array
+    used: tuple[tuple[str, int], ...]
+    rejected: tuple[tuple[str, int], ...]
+    chi_square: float
+    freedom: int
+
+
+@dataclass(frozen=True)
+class Locator:
+    """Estimator for one head and one network.
+
+    Attributes:
+        survey: of the nodes.
+        head: angles of the planes, nominal or calibrated.
+        T_base_head: mount of the head. Shape (4, 4).
+        sequence, counter, noise: of the network.
+        spin_rate: nominal turns per second, within a few percent.
+        loosest: standard deviation of the position, along the worst axis, that is still a fix, m.
+    """
+
+    survey: NodeSurvey
+    head: HeadParameters = HeadParameters()
+    T_base_head: Array = field(default_factory=lambda: np.eye(4))
+    sequence: SyncSequence = SyncSequence()
+    counter: Counter = Counter()
+    noise: Noise = Noise()
+    spin_rate: float = 30.0
+    loosest: float = 0.03
+
+    def crossings(self, stamps: StampBatch) -> tuple[Crossings, float] | NoFix:
+        """Angles of the last whole revolution, and the time of its middle."""
+        unknown = [name for name in stamps.nodes if name not in self.survey.index]
+        if unknown:
+            known = ", ".join(self.survey.names)
+            return NoFix("unknown node", f"{unknown[0]} is not in the survey; it has {known}")
+        if len(set(stamps.nodes)) < len(stamps.nodes):
+            return NoFix("malformed stamps", "a node stands in the batch twice")
+        aligned = align(stamps, self.sequence, self.counter, self.noise)
+        if isinstance(aligned, NoFix):
+            return aligned
+        if fault := _disorder(stamps, aligned):
+            return fault
+        turn = spin(stamps, aligned, self.spin_rate, self.counter, self.noise)
+        if isinstance(turn, NoFix):
+            return turn
+        found = measure(stamps, aligned, turn, self.counter, self.noise)
+        return found, turn.start + 0.5 * turn.length
+
+    def fix(self, stamps: StampBatch, body_twist: Array | None = None) -> Fix | NoFix:
+        """Pose from all nodes.
+
+        Args:
+            stamps: a batch that holds a whole revolution.
+            body_twist: of the base in its own axes during it: velocity (m/s), rate of turn
+                (rad/s), from the vehicle's filter. Shape (6,). Standing if none is given.
+        """
+        measured = self.crossings(stamps)
+        if isinstance(measured, NoFix):
+            return measured
+        twist = np.zeros(6) if body_twist is None else np.asarray(body_twist, dtype=float)
+        if twist.shape != (6,) or not np.all(np.isfinite(twist)):
+            return NoFix("malformed stamps", "the twist is not six finite numbers")
+        return self.solve(measured[0], measured[1], stamps.nodes, twist)
+
+    def solve(
+        self, seen: Crossings, time: float, names: tuple[str, ...], body_twist: Array
+    ) -> Fix | NoFix:
+        """Pose from measured crossings; see `fix`."""
+        at = np.array([self.survey.index[name] for name in names], dtype=np.int64)
+        nodes = np.ascontiguousarray(self.survey.p_world[at], dtype=np.float64)
+        sigma_node = np.asarray(self.survey.sigma, dtype=np.float64)[at]
+        twist = head_twist(body_twist, self.T_base_head)
+        A, s = motion(twist, seen.time)
+        still = bool(np.abs(twist).max() < STILL)
+        data = nodes, sigma_node, seen.node, seen.plane, seen.theta, normals(self.head), A, s
+        R, p, cost, support, found, visible, triples = find_poses(*data, seen.covariance, still)
+        if visible < 3:
+            return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
+        if not triples:
+            return NoFix("collinear nodes", f"no three of {visible} nodes off a line")
+        if visible < 4:
+            return NoFix("no redundancy", "3 nodes fit any pose that they propose, wanted 4")
+        if not found:
+            return NoFix("no solution", f"no pose agrees with more than three of {visible} nodes")
+        start = [(R[k], p[k], cost[k]) for k in range(found)]
+        settled = settle(start, data, seen.covariance)
+        if isinstance(settled, NoFix):
+            return settled
+        rows, chi, covariance = settled.rows, settled.chi_square, settled.covariance
+        sigma = float(np.linalg.eigvalsh(covariance[:3, :3])[-1]) ** 0.5
+        if not sigma < self.loosest:
+            return self._loose(settled, nodes[np.unique(seen.node[rows])], sigma)
+        T_world_head = transform(settled.R, settled.p)
+        T_head_base = inverse(self.T_base_head)
+        J = base_from_head(T_world_head, T_head_base)
+        label = [(names[n], int(k) + 1) for n, k in zip(seen.node, seen.plane, strict=True)]
+        used = set(rows.tolist())
+        return Fix(
+            T_world_head @ T_head_base,
+            J @ covariance @ J.T,
+            time,
+            T_world_head,
+            covariance,
+            tuple(label[i] for i in rows),
+            tuple(label[i] for i in range(len(label)) if i not in used),
+            chi,
+            len(rows) - 6,
+        )
+
+    def _loose(self, settled: Settled, nodes: Array, sigma: float) -> NoFix:
+        """Why the position is loose: the head near the cylinder through the nodes, or not."""
+        best = 0.0
+        for k in range(len(nodes) - 2):
+            three = nodes[k : k + 3]
+            if triple_fault(three) is None:
+                seen = p3p((three - settled.p) @ settled.R, three)
+                best = max(best, float(np.nanmax(seen.conditioning, initial=0.0)))
+        reason: Reason = "danger cylinder" if best < 30 * DANGER else "loose geometry"
+        return NoFix(reason, f"position known to {sigma:.3f} m, wanted {self.loosest} m")
+
+    def source_fix(self, stamps: StampBatch, four: tuple[str, str, str, str]) -> Array | NoFix:
+        """`T_world_head` by the source's method: three nodes, and a fourth to choose. (4, 4).
+
+        Angles by Eqs. 2 and 3 with the speed of the revolution before; where the batch holds but
+        one revolution, by its own.
+        """
+        if fault := self._four_fault(stamps, four):
+            return fault
+        aligned = align(stamps, self.sequence, self.counter, self.noise, interpolate=True)
+        if isinstance(aligned, NoFix):
+            return aligned
+        if fault := _disorder(stamps, aligned):
+            return fault
+        if aligned.status[T0] != GOOD:
+            return NoFix("no reference", "T0's clock cannot be aligned to the synchronising light")
+        zeros = aligned.time[(stamps.channel == T0) & (stamps.kind == PLANE_1)]
+        if len(zeros) < 2 or not np.all(np.abs(np.diff(zeros) * self.spin_rate - 1.0) < 0.05):
+            return NoFix("no reference", f"T0 saw plane 1 {len(zeros)} times, no whole revolution")
+        start, before = (zeros[-2], zeros[-3]) if len(zeros) > 2 else (zeros[-2], None)
+        before = 2 * zeros[-2] - zeros[-1] if before is None else before
+        theta = np.full((4, 2), np.nan)
+        for i, name in enumerate(four):
+            channel = stamps.nodes.index(name) + 1
+            for j, kind in enumerate((PLANE_1, PLANE_2)):
+                times = aligned.time[(stamps.channel == channel) & (stamps.kind == kind)]
+                times = times[(times >= start) & (times < zeros[-1])]
+                if len(times):
+                    theta[i, j] = rotation_angle(times[0], start, before) % TAU
+        if not np.all(np.isfinite(theta)):
+            return NoFix("few nodes", "one of the four nodes missed a plane")
+        nodes = self.survey.p_world[[self.survey.index[name] for name in four]]
+        if fault := triple_fault(nodes[:3]):
+            return fault
+        directions = rays(theta[:, 0], theta[:, 1], self.head)
+        R, t, psi = p3p_checked(directions, nodes)
+        if not np.isfinite(psi[0]):
+            return NoFix("no solution", "no pose with the fourth node ahead")
+        return inverse(transform(R[0], t[0]))
+
+    def _four_fault(self, stamps: StampBatch, four: tuple[str, ...]) -> NoFix | None:
+        for name in four:
+            if name not in self.survey.index:
+                return NoFix("unknown node", f"{name} is not in the survey")
+            if name not in stamps.nodes:
+                return NoFix("few nodes", f"{name} sent nothing")
+        if len(set(four)) < 4:
+            return NoFix("few nodes", "the four nodes must differ")
+        return None
+
+
+def base_from_head(T_world_head: Array, T_head_base: Array) -> Array:
+    """Derivative of the base's small error by the head's, see `refine`. Shape (6, 6)."""
+    R, lever = T_world_head[:3, :3], T_head_base[:3, 3]
+    J = np.eye(6)
+    J[:3, 3:] = -R @ _cross(lever)
+    J[3:, 3:] = T_head_base[:3, :3].T
+    return J
+
+
+def _cross(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _disorder(stamps: StampBatch, aligned: Aligned) -> NoFix | None:
+    """A channel that counts backwards spoils the batch: something is wrong with its order."""
+    if np.any(aligned.status == 1):
+        bad = int(np.nonzero(aligned.status == 1)[0][0])
+        name = "T0" if bad == T0 else stamps.nodes[bad - 1]
+        return NoFix("stamps out of order", f"{name} counts backwards")
+    return None

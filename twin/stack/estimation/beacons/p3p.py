@@ -1,0 +1,193 @@
+"""Pose of the head from three nodes, the fourth choosing (Liu et al. 2022, Eqs. 9-28), batched.
+
+T_head_world is R, t of Eq. 17: p_head = R p_world + t.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twin.geometry import Array
+from twin.stack.estimation.beacons.quartic import distances
+from twin.stack.estimation.beacons.rigid import rotation_of
+from twin.stack.estimation.beacons.small import copy_to
+from twin.stack.estimation.beacons.stamps import NoFix
+
+COLLINEAR = 0.02  # sine of the angle between two sides below which three nodes are a line
+DANGER = 1e-3  # conditioning below which the distances are undetermined, see `quartic.distances`
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Up to four solutions of each of n problems.
+
+    Attributes:
+        count: how many there are. Shape (n,).
+        R, t: of T_head_world; rows past the count are NaN. Shapes (n, 4, 3, 3), (n, 4, 3).
+        distances: head to the three nodes, m. Shape (n, 4, 3).
+        conditioning: 0 on the danger cylinder, 1 at best. Shape (n, 4).
+    """
+
+    count: NDArray[np.int64]
+    R: Array
+    t: Array
+    distances: Array
+    conditioning: Array
+
+    @property
+    def position(self) -> Array:
+        """Eqs. 27, 28: the head's origin in world, -R^T t. Shape (n, 4, 3)."""
+        return -np.einsum("nkji,nkj->nki", self.R, self.t)
+
+
+def p3p(rays: Array, p_world: Array) -> Poses:
+    """All poses that agree with three rays to three nodes.
+
+    Args:
+        rays: directions in head, of any length. Shape (n, 3, 3) or (3, 3).
+        p_world: the nodes. Shape (n, 3, 3), or (3, 3) for the same nodes in all problems.
+    """
+    rays = np.ascontiguousarray(np.reshape(rays, (-1, 3, 3)), dtype=np.float64)
+    nodes = np.ascontiguousarray(np.reshape(p_world, (-1, 3, 3)), dtype=np.float64)
+    if len(nodes) not in (1, len(rays)):
+        raise ValueError(f"p3p: {len(rays)} sets of rays, {len(nodes)} sets of nodes")
+    return Poses(*_batch(rays, nodes))
+
+
+def p3p_checked(rays: Array, p_world: Array, axis: str = "ray") -> tuple[Array, Array, Array]:
+    """P3P of the first three nodes; the fourth picks the solution (Eqs. 23-26).
+
+    Args:
+        rays: directions in head. Shape (n, 4, 3).
+        p_world: nodes. Shape (n, 4, 3) or (4, 3).
+        axis: "ray" for an image plane at right angles to the fourth ray, "y" for the source's Y = 1
+            (Eq. 25), which knows no node near or behind the plane Y = 0.
+
+    Returns:
+        R (n, 3, 3) and t (n, 3) of T_head_world, NaN where there is none; projection error psi (n,).
+    """
+    rays = np.ascontiguousarray(np.reshape(rays, (-1, 4, 3)), dtype=np.float64)
+    nodes = np.ascontiguousarray(np.reshape(p_world, (-1, 4, 3)), dtype=np.float64)
+    if len(nodes) not in (1, len(rays)):
+        raise ValueError(f"p3p: {len(rays)} sets of rays, {len(nodes)} sets of nodes")
+    return _checked(rays, nodes, axis == "y")
+
+
+def triple_fault(p_world: Array) -> NoFix | None:
+    """Whether three nodes lie too nearly on a line. Shape (3, 3)."""
+    a, b = p_world[1] - p_world[0], p_world[2] - p_world[0]
+    c = b - a
+    longest = sorted(float(np.linalg.norm(side)) for side in (a, b, c))
+    sine = float(np.linalg.norm(np.cross(a, b))) / max(longest[1] * longest[2], 1e-12)
+    if sine < COLLINEAR:
+        return NoFix("collinear nodes", f"sine between the sides {sine:.4f} < {COLLINEAR}")
+    return None
+
+
+@njit(cache=True)
+def solve_triple(f, P, R, t, d, roots, work, H):
+    """One problem: unit rays f (3, 3), nodes P (3, 3); fills R (4, 3, 3), t (4, 3), d (4, 4)."""
+    c12 = f[0, 0] * f[1, 0] + f[0, 1] * f[1, 1] + f[0, 2] * f[1, 2]
+    c13 = f[0, 0] * f[2, 0] + f[0, 1] * f[2, 1] + f[0, 2] * f[2, 2]
+    c23 = f[1, 0] * f[2, 0] + f[1, 1] * f[2, 1] + f[1, 2] * f[2, 2]
+    s12 = (P[0, 0] - P[1, 0]) ** 2 + (P[0, 1] - P[1, 1]) ** 2 + (P[0, 2] - P[1, 2]) ** 2
+    s13 = (P[0, 0] - P[2, 0]) ** 2 + (P[0, 1] - P[2, 1]) ** 2 + (P[0, 2] - P[2, 2]) ** 2
+    s23 = (P[1, 0] - P[2, 0]) ** 2 + (P[1, 1] - P[2, 1]) ** 2 + (P[1, 2] - P[2, 2]) ** 2
+    if not min(s12, s13, s23) > 0.0:
+        return 0
+    count = distances(c12, c13, c23, s12, s13, s23, d, roots)
+    px = (P[0, 0] + P[1, 0] + P[2, 0]) / 3.0
+    py = (P[0, 1] + P[1, 1] + P[2, 1]) / 3.0
+    pz = (P[0, 2] + P[1, 2] + P[2, 2]) / 3.0
+    for k in range(count):
+        d1, d2, d3 = d[k, 0], d[k, 1], d[k, 2]
+        tx = (d1 * f[0, 0] + d2 * f[1, 0] + d3 * f[2, 0]) / 3.0
+        ty = (d1 * f[0, 1] + d2 * f[1, 1] + d3 * f[2, 1]) / 3.0
+        tz = (d1 * f[0, 2] + d2 * f[1, 2] + d3 * f[2, 2]) / 3.0
+        for i in range(3):
+            H[i, 0] = H[i, 1] = H[i, 2] = 0.0
+        for n in range(3):  # Eqs. 18, 19
+            ax, ay, az = P[n, 0] - px, P[n, 1] - py, P[n, 2] - pz
+            bx, by, bz = d[k, n] * f[n, 0] - tx, d[k, n] * f[n, 1] - ty, d[k, n] * f[n, 2] - tz
+            H[0, 0] += ax * bx
+            H[0, 1] += ax * by
+            H[0, 2] += ax * bz
+            H[1, 0] += ay * bx
+            H[1, 1] += ay * by
+            H[1, 2] += ay * bz
+            H[2, 0] += az * bx
+            H[2, 1] += az * by
+            H[2, 2] += az * bz
+        if not rotation_of(H, R[k], work):
+            return 0
+        r = R[k]
+        t[k, 0] = tx - (r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz)  # Eq. 22
+        t[k, 1] = ty - (r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz)
+        t[k, 2] = tz - (r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz)
+    return count
+
+
+@njit(cache=True)
+def _unit(rays, n, out, count):
+    for i in range(count):
+        x, y, z = rays[n, i, 0], rays[n, i, 1], rays[n, i, 2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        out[i, 0], out[i, 1], out[i, 2] = x * inverse, y * inverse, z * inverse
+
+
+@njit(cache=True)
+def _batch(rays, nodes):
+    total = len(rays)
+    count = np.zeros(total, dtype=np.int64)
+    R_all, t_all = np.full((total, 4, 3, 3), np.nan), np.full((total, 4, 3), np.nan)
+    d_all, cond = np.full((total, 4, 3), np.nan), np.full((total, 4), np.nan)
+    f, d, roots = np.empty((3, 3)), np.empty((4, 4)), np.empty(4)
+    work, H = np.empty((2, 3, 3)), np.empty((3, 3))
+    for n in range(total):
+        _unit(rays, n, f, 3)
+        P = nodes[n if len(nodes) > 1 else 0]
+        count[n] = solve_triple(f, P, R_all[n], t_all[n], d, roots, work, H)
+        for k in range(count[n]):
+            for i in range(3):
+                d_all[n, k, i] = d[k, i]
+            cond[n, k] = d[k, 3]
+    return count, R_all, t_all, d_all, cond
+
+
+@njit(cache=True)
+def virtual_plane_error(tau, p, along_y):
+    """Eq. 26: squared distance of ray and point on the image plane; inf if one is behind it."""
+    if along_y:
+        if tau[1] == 0.0 or p[1] == 0.0 or tau[1] * p[1] < 0.0:
+            return np.inf
+        return (tau[0] / tau[1] - p[0] / p[1]) ** 2 + (tau[2] / tau[1] - p[2] / p[1]) ** 2
+    ahead = tau[0] * p[0] + tau[1] * p[1] + tau[2] * p[2]
+    if not ahead > 0.0:
+        return np.inf
+    x, y, z = p[0] / ahead - tau[0], p[1] / ahead - tau[1], p[2] / ahead - tau[2]
+    return x * x + y * y + z * z  # |tau| = 1
+
+
+@njit(cache=True)
+def _checked(rays, nodes, along_y):
+    total = len(rays)
+    R_best, t_best = np.full((total, 3, 3), np.nan), np.full((total, 3), np.nan)
+    psi_best = np.full(total, np.inf)
+    f, d, roots, p = np.empty((4, 3)), np.empty((4, 4)), np.empty(4), np.empty(3)
+    R, t = np.empty((4, 3, 3)), np.empty((4, 3))
+    work, H = np.empty((2, 3, 3)), np.empty((3, 3))
+    for n in range(total):
+        _unit(rays, n, f, 4)
+        P = nodes[n if len(nodes) > 1 else 0]
+        for k in range(solve_triple(f[:3], P[:3], R, t, d, roots, work, H)):
+            for i in range(3):  # Eq. 24
+                p[i] = R[k, i, 0] * P[3, 0] + R[k, i, 1] * P[3, 1] + R[k, i, 2] * P[3, 2] + t[k, i]
+            psi = virtual_plane_error(f[3], p, along_y)
+            if psi < psi_best[n]:
+                psi_best[n] = psi
+                copy_to(R[k], R_best[n], 3)
+                for i in range(3):
+                    t_best[n, i] = t[k, i]
+    return R_best, t_best, psi_best

@@ -1,0 +1,142 @@
+"""Which nodes to trust: the pose stands only if no other choice of the culprit explains the data.
+
+A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, every
+single node, then every pair, is tried as the culprit; the pose is given only if all choices that
+leave an acceptable rest lead to the same place. Rejecting the crossing with the largest residual,
+as is usual, picks the wrong culprit in about one of a hundred small reflections.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations, islice, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.geometry import Array
+from twin.stack.estimation.beacons.refine import (
+    ITERATIONS,
+    chi_square_limit,
+    least_squares,
+    linearise,
+)
+from twin.stack.estimation.beacons.stamps import NoFix
+
+LEAST_FREEDOM = 2  # crossings beyond the six that make a pose
+LEAST_NODES = 4
+Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 refused
+BLOCK_LIMIT = 13.8  # chi-square of two degrees that a node may cost: one in 1000
+AGREE = 3.0  # sigmas by which positions of different culprits may differ
+TWINS = 60.0  # sigmas between two crossings of a plane below which either may be the true one
+MOST_READINGS = 8  # choices among such crossings that are tried
+RIVAL = 9.0  # cost by which the first start must beat another that is somewhere else
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A pose R, p of T_world_head, the crossings that made it, and how well they agree."""
+
+    R: Array
+    p: Array
+    rows: NDArray[np.int64]
+    chi_square: float
+    covariance: Array
+    blocks: Array
+
+    def acceptable(self) -> bool:
+        """Whether the residuals as a whole are those of the noise."""
+        freedom = len(self.rows) - 6
+        return freedom > 0 and self.chi_square < chi_square_limit(freedom, Z_LIMIT)
+
+
+def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) -> Settled | NoFix:
+    """Least squares on the crossings that can be trusted.
+
+    Args:
+        starts: R, p and cost of poses of `consensus.find_poses`, best first.
+        data: nodes, their sigma, node, plane and theta of the crossings, normals, A, s.
+        covariance: of theta. Shape (m, m).
+    """
+    node = data[2]
+    readings = _readings(starts[0], data, covariance)
+    trusted = np.unique(node).tolist()
+    if fault := _redundancy(readings[0], node):
+        return fault
+    agreeing = []
+    for rows in readings:
+        fitted = _fitted(starts[0], rows, data, covariance)
+        if fitted is not None and fitted.acceptable() and fitted.blocks.max() < BLOCK_LIMIT:
+            agreeing.append(fitted)
+    for count in (1, 2):
+        if agreeing or len(trusted) - count < LEAST_NODES:
+            break
+        for culprits in combinations(trusted, count):
+            for rows in readings:
+                rest = rows[~np.isin(node[rows], culprits)]
+                if _redundancy(rest, node) is None:
+                    fitted = _fitted(starts[0], rest, data, covariance)
+                    if fitted is not None and fitted.acceptable():
+                        agreeing.append(fitted)
+    if agreeing:
+        best = min(agreeing, key=lambda fitted: fitted.chi_square)
+        if all(_same_place(best, other) for other in agreeing):
+            return _unless_rival(best, starts)
+        return NoFix("ambiguous", "which crossings are reflections cannot be told")
+    if len(trusted) == LEAST_NODES:
+        return NoFix("no redundancy", f"{LEAST_NODES} nodes, and they disagree")
+    return NoFix("residuals", "no choice of one or two false nodes leaves the others in agreement")
+
+
+def _fitted(start, rows, data, covariance: Array) -> Settled | None:
+    R, p = start[0].copy(), start[1].copy()
+    nodes, sigma_node, node, plane, theta, normals, A, s = data
+    _, chi, pose_covariance, blocks = least_squares(
+        *(R, p, rows, nodes, sigma_node, node, plane, theta, normals, A, s, covariance),
+        ITERATIONS,
+    )
+    return Settled(R, p, rows, chi, pose_covariance, blocks) if np.isfinite(chi) else None
+
+
+def _readings(start, data, covariance: Array) -> list[NDArray[np.int64]]:
+    """Choices of one crossing for each node and plane, the likeliest first.
+
+    Of several crossings the one nearest to the prediction is meant, but one that is close to it
+    might be as well.
+    """
+    nodes, _, node, plane, theta, normals, A, s = data
+    pairs = 2 * node + plane
+    rows = np.arange(len(node))
+    if len(np.unique(pairs)) == len(rows):
+        return [rows]
+    r, J = np.empty(len(rows)), np.empty((len(rows), 6))
+    linearise(start[0], start[1], rows, nodes, node, plane, theta, normals, A, s, r, J)
+    options = []
+    for pair in np.unique(pairs):
+        here = np.nonzero(pairs == pair)[0]
+        here = here[np.argsort(np.abs(r[here]))]
+        near = np.abs(r[here] - r[here[0]]) < TWINS * np.sqrt(covariance[here[0], here[0]])
+        options.append(here[near].tolist())
+    return [np.array(choice) for choice in islice(product(*options), MOST_READINGS)]
+
+
+def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | None:
+    count = len(set(node[rows].tolist()))
+    if count < LEAST_NODES or len(rows) < 6 + LEAST_FREEDOM:
+        return NoFix("no redundancy", f"{len(rows)} crossings of {count} nodes, wanted 8 of 4")
+    return None
+
+
+def _same_place(a: Settled, b: Settled) -> bool:
+    sigma = np.sqrt(np.minimum(np.diag(a.covariance), np.diag(b.covariance))[:3])
+    return bool(np.all(np.abs(a.p - b.p) < AGREE * sigma))
+
+
+def _unless_rival(found: Settled, starts) -> Settled | NoFix:
+    """The pose, unless a start of similar cost lies elsewhere."""
+    for R, p, cost in starts[1:]:
+        if cost < starts[0][2] + RIVAL:
+            turn = found.R.T @ R
+            vector = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
+            off = np.concatenate([p - found.p, vector])
+            if off @ np.linalg.solve(found.covariance, off) > 50.0:
+                return NoFix("ambiguous", "two poses fit about as well")
+    return found
