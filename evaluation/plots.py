@@ -1,15 +1,17 @@
 """Plots of a run from the files in its folder."""
 
-from math import cos, sin
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
 from evaluation.ape import pose_errors
-from twin.geometry import rectangle
+from twin.floor_plan import machines
 from twin.recording.tum import read_tum
 from twin.site import Site
+from twin.stack.estimation.map_file import load_map
+from twin.stack.estimation.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 LABELS = {
     "truth": "true",
@@ -20,12 +22,16 @@ LABELS = {
 
 
 def plot_paths(axes: Axes, folder: Path, site: Site | None = None) -> None:
-    """Paths seen from above, metres in world; with the belt if the site is given."""
+    """Paths seen from above, metres in world; with what stands in the hall if the site is given."""
     if site is not None:
-        line = site.line
-        box = rectangle(line.length / 2, 0.0, 0.0, line.length, line.width)
-        corners = [_to_world(site, x, y) for x, y in box]
-        axes.add_patch(Polygon(corners, color="0.85", label="belt"))
+        for boxes in machines(site).values():
+            for box in boxes:
+                axes.add_patch(Polygon(box, color="0.85"))
+        (x0, x1), (y0, y1) = site.hall.x, site.hall.y
+        axes.add_patch(Polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], fill=False, color="0.6"))
+        if site.tags:
+            tags = [tag.pose[:2] for tag in site.tags]
+            axes.plot(*zip(*tags, strict=True), "s", color="0.6", markersize=2, label="floor tags")
     for name, label in LABELS.items():
         path = folder / f"{name}.tum"
         if path.exists():
@@ -34,6 +40,20 @@ def plot_paths(axes: Axes, folder: Path, site: Site | None = None) -> None:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend()
+
+
+def plot_map(axes: Axes, path: Path) -> None:
+    """A map in the ROS map_server's format (its YAML): occupied black, free white, unknown grey."""
+    grid = load_map(path)
+    grey = {OCCUPIED: 0.0, FREE: 1.0, UNKNOWN: 0.8}
+    states = grid.states()
+    picture = np.select([states == value for value in grey], list(grey.values()))
+    height, width = np.array(states.shape) * grid.resolution
+    x, y = grid.origin
+    axes.imshow(
+        picture, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(x, x + width, y, y + height)
+    )
+    axes.set(xlabel="x (m)", ylabel="y (m)")
 
 
 def plot_errors(axes: Axes, folder: Path) -> None:
@@ -46,9 +66,3 @@ def plot_errors(axes: Axes, folder: Path) -> None:
             axes.plot(errors.stamps, 1e3 * errors.translation, label=label)
     axes.set(xlabel="time (s)", ylabel="position error (mm)")
     axes.legend()
-
-
-def _to_world(site: Site, along: float, across: float) -> tuple[float, float]:
-    c, s = cos(site.line.direction), sin(site.line.direction)
-    x, y = site.line.origin
-    return x + c * along - s * across, y + s * along + c * across
