@@ -12,6 +12,7 @@ PARCEL = "part_parcel_0"
 AT_REST = 0.01  # m/s
 HEIGHT_TOLERANCE = 0.005  # m off the deck's face that a standing parcel's bottom may be
 STRIP = 0.195  # m of free strip along the front edge: models/warehouse/README.md
+REPEAT = 1.0  # s within which the same thing is not told again
 UPRIGHT = 0.99  # least cosine of its tilt
 
 
@@ -31,6 +32,7 @@ class TransportMonitor:
         self._speed, self._held = np.inf, True
         self.lifted = 0  # times that a hand took hold of it
         self.events: list[tuple[float, str]] = []
+        self._last: dict[str, float] = {}  # when something was last said of a subject
 
     def observe(self, tick: Tick) -> None:
         truth = tick.truth
@@ -40,7 +42,15 @@ class TransportMonitor:
         self._T = truth.T_world_part(PARCEL)
         i = truth.part_names.index(PARCEL)
         self._speed = float(np.linalg.norm(truth.part_velocity[i]))
-        self.events += [(tick.stamp, event) for event in tick.state.events]
+        for event in tick.state.events:
+            self._note(tick.stamp, event)
+
+    def _note(self, stamp: float, event: str) -> None:
+        """Keep an event, but not what the same speaker has said of the same thing just now."""
+        about = event.partition(":")[0]
+        if stamp - self._last.get(about, -np.inf) > REPEAT:
+            self.events.append((stamp, event))
+        self._last[about] = stamp
 
     @property
     def delivered(self) -> bool:

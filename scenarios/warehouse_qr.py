@@ -25,7 +25,7 @@ SETTLE = 0.5  # s that the parcel gets to come to rest
 # vehicle can pass on one side.
 WAY_X, WAY_Y, BESIDE = (11.8, 12.0), 3.65, 0.40  # m
 APPEARS = (1.8, 2.6)  # m from the vehicle at which it comes into the way
-ON_THE_WAY = ("W4", "W3", "W2", "P2", "P3", "M2", "M3")  # tags of which one is not as it should be
+ON_THE_WAY = ("W4", "W3", "P3", "M3", "M2")  # tags of which one is not as it should be
 MISPLACED, ASKEW = (0.05, 0.20), 0.05  # m, rad: by which a misplaced one is off
 
 CRITERIA = [
