@@ -1,5 +1,7 @@
 """Whether the parcel of a transport order arrived, and how exactly, from the plant's truth."""
 
+import re
+
 import numpy as np
 
 from twin.floor_plan import RACK, rack_stop
@@ -46,8 +48,8 @@ class TransportMonitor:
             self._note(tick.stamp, event)
 
     def _note(self, stamp: float, event: str) -> None:
-        """Keep an event, but not what the same speaker has said of the same thing just now."""
-        about = event.partition(":")[0]
+        """Keep an event, but not one that was told just now with other numbers."""
+        about = re.sub(r"[0-9.]+", "", event)
         if stamp - self._last.get(about, -np.inf) > REPEAT:
             self.events.append((stamp, event))
         self._last[about] = stamp

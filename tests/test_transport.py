@@ -314,6 +314,15 @@ def test_what_is_not_delivered(how):
     assert not monitor.delivered and np.isnan(monitor.metrics()["placement_error_mm"])
 
 
+def test_what_is_told_again_and_again_is_noted_once():
+    monitor = told(GOOD)
+    for k in range(40):
+        monitor._note(2.0 + 0.05 * k, f"tag P3: 0.0{k} m off, where the scan does not fit")
+    monitor._note(4.0, "tag P3: reached")
+    monitor._note(6.0, "tag P3: 0.1 m off, where the scan does not fit")
+    assert [stamp for stamp, _ in monitor.events] == [2.0, 4.0, 6.0]
+
+
 def test_another_racks_parcel_is_not_delivered_here():
     parcel = LAYOUT.world.parcel.model_copy(update={"rack": 3})
     world = LAYOUT.world.model_copy(update={"parcel": parcel})
