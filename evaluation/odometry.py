@@ -83,7 +83,9 @@ class CourseMonitor:
 
         NaN where the aisle was not driven at cruise.
         """
-        pose, speed = self.pose, self.speed
+        pose, velocity = self.pose, np.array(self._velocity).reshape(-1, 3)
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        speed = np.abs(c * velocity[:, 0] - s * velocity[:, 1])  # along the aisle
         inside = (pose[:, 0] >= aisle.x[0]) & (pose[:, 0] <= aisle.x[1])
         along = inside & (np.abs(pose[:, 1] - aisle.y) < 0.5) & (speed >= aisle.cruise)
         if not along.any():

@@ -96,8 +96,8 @@ def patches(rng: np.random.Generator) -> tuple[WetPatch, ...]:
     for span in ((2.5, 3.1), (4.1, 4.7)):  # in the cell
         x, y, friction = patch(span, (-0.35, 0.40), LANE)
         out.append(WetPatch(x=x, y=y, friction=friction))
-    for x, y in ((EAST[0], NORTH), (WEST_END, LANE)):  # where it stops, turns and sets out
-        dx, dy = rng.uniform(0.35, 0.6, 2)
+    for (x, y), most in (((EAST[0], NORTH), 0.6), ((WEST_END, LANE), 0.35)):
+        dx, dy = rng.uniform(0.25, most, 2)  # where it stops, turns and sets out
         friction = rng.uniform(*FRICTION)
         out.append(WetPatch(x=(x - dx, x + dx), y=(y - dy, y + dy), friction=friction))
     return tuple(out)

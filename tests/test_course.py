@@ -1,5 +1,6 @@
 """Figures of the scenario `odometry` against hand-worked motions, and its drawn patches."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,6 +40,8 @@ def test_cross_track_is_the_distance_from_the_drawn_line_at_cruise_alone():
     away, way = watched(straight(-0.62, 0.9)).cross_track(AISLE)
     assert away == pytest.approx(0.03) and way == pytest.approx(9.0, abs=0.05)
     assert np.isnan(watched(straight(-0.62, 0.5)).cross_track(AISLE)[0])
+    across = straight(-0.62, 0.9)[:, [1, 0, 2]] + (13.0, -4.9, 0.0)  # crosses it at a right angle
+    assert np.isnan(watched(across).cross_track(AISLE)[0])
 
 
 def full_turn(angle: float, drift: float) -> np.ndarray:
@@ -82,6 +85,13 @@ def test_patches_lie_on_the_course_and_off_the_clear_aisle_and_its_turns(seed):
     for p in wet:
         in_aisle = p.x[0] < x1 + reach and p.x[1] > x0 - reach
         assert not in_aisle or p.y[0] > a.y + reach
+    dry = np.array([odometry.ROUTE[0], *odometry.ROUTE[:6]], dtype=float)  # until once around
+    dry[0] = 0.0
+    way = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(dry)])
+    assert not watched(way, wet).wheels_wet().any()
+    later = np.array(odometry.ROUTE[6:], dtype=float)
+    way = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(later)])
+    assert watched(way, wet).wheels_wet().max() >= 2
     layout = load_layout()
     dump = layout.model_dump()
     dump["world"]["faults"]["wet"] = [p.model_dump() for p in wet]
