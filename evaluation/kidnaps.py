@@ -33,7 +33,7 @@ class KidnapMonitor:
         self.false_alarms = 0  # times that it took itself for lost and was not
         self._good_since: float | None = None
         self._wrong_since: float | None = None
-        self._was_lost = False
+        self._was_lost = True  # a run may begin lost: that is no alarm
         self.notes: list[str] = []
 
     def kidnapped(self, stamp: float, pose, alike: bool) -> None:

@@ -135,6 +135,7 @@ class Options(Strict):
     grasp_timing: bool = True
     arms: Annotated[int, Field(ge=1, le=2)] = 2
     tags: bool = True  # floor tags correct the pose
+    start_known: bool = True  # the vehicle is told that it starts in its dock
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
 
 

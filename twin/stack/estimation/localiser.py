@@ -95,6 +95,8 @@ class Localiser:
         self._outside = 0  # AMCL's poses in a row outside the gate
         self._confirmed = 0.0  # m of way over which one place alone has fitted
         self._usual = self.amcl.settings.expected  # explained by the map in known places
+        if not config.options.start_known:
+            self.relocate()
 
     # --- what others ask -------------------------------------------------------------------------
 
@@ -274,6 +276,9 @@ class Localiser:
             return
         self._carry(reckoned)
         believed, covariance = self._correction.pose, self._correction.covariance
+        if self.lost:  # then what the map says so far is all that a tag can contradict
+            believed = self.amcl.pose_at(reckoned)
+            covariance = self.amcl.covariance + SYSTEMATIC
         decision = self._tags.update(
             fix, believed, covariance, lambda pose: self.amcl.fit(pose, reckoned)
         )

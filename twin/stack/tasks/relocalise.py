@@ -71,22 +71,22 @@ class Relocaliser:
             localiser: asked for its odometry and whether it is still lost.
         """
         dt, self._now = max(now - self._now, 0.0), now
+        if depth_points_base is not None:
+            self._memory.add(now, depth_points_base, localiser.fused.pose(now))
         if not localiser.lost:
             self.done, self.reason = True, "found"
             self._wanted = np.zeros(3)
-        elif now - self._began >= LOOK and now - self._planned >= PLAN:
+        elif now - self._began < LOOK or not localiser.ready:
+            self._wanted = np.zeros(3)
+        elif now - self._planned >= PLAN:
             self._planned = now
             odometry = localiser.fused.pose(now)
-            if depth_points_base is not None:
-                self._memory.add(now, depth_points_base, odometry)
             scan = np.asarray(scan_points_base, dtype=float).reshape(-1, 2)
             scan = scan[np.hypot(*scan.T) < 3.0]
             seen = np.concatenate(
                 [scan[::3], closed_fronts(scan), self._memory.points(now, odometry)]
             )
             self._wanted = self._plan(seen)
-        elif depth_points_base is not None:
-            self._memory.add(now, depth_points_base, localiser.fused.pose(now))
         most = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
         self._command = self._command + np.clip(self._wanted - self._command, -most, most)
         return BodyVelocity(*(float(v) for v in self._command))
