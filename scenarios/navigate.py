@@ -25,7 +25,7 @@ SUDDEN_NEAR = (1.8, 2.6)  # m at which they do: it can stop, and must find anoth
 MOVER_SPEED = (0.3, 0.5)  # m/s
 
 # Mouths of the aisles, x and y of their middle, 1.5 m wide: a thing beside the middle leaves 0.9 m.
-MOUTHS = [(x, y) for y in (1.55, 3.65, 5.75) for x in (8.25, 10.35, 11.65)]
+MOUTHS = [(x, y) for y in (1.55, 3.65, 5.75) for x in (8.5, 10.1, 11.9)]
 BESIDE = 0.40  # m that things stand off an aisle's middle
 # In front of the warehouse, 2.4 m wide: a panel across the way leaves room to go round.
 GLASS, BLACK = (6.1, (-0.75, 0.05)), (7.3, (6.6, 6.9))

@@ -5,6 +5,7 @@ cluster's middle wanders as the vehicle sees another side of it, so an object co
 when it is fast enough and has come some way.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +30,8 @@ class MovingOptions:
     way: float = 0.20  # m that it must have come
     hits: int = 4  # scans that must have seen it
     rest: float = 0.06  # m/s below which it has stopped
-    memory: float = 1.0  # s for which one out of sight is expected to go on
+    memory: float = 1.0  # s for which one that should be seen is expected to go on
+    unseen: float = 4.0  # s likewise where the lidar does not look
     behind: float = 0.15  # m by which it is taken larger than what is seen of it
 
 
@@ -101,8 +103,16 @@ class MovingObjects:
         self.options = options or MovingOptions()
         self.objects: list[MovingObject] = []
 
-    def update(self, stamp: float, points: Array) -> None:
-        """Take the points (n, 2) of a scan that lie off the map, in world, in the beams' order."""
+    def update(
+        self, stamp: float, points: Array, in_view: Callable[[Array], bool] = lambda xy: True
+    ) -> None:
+        """Take the points of a scan that lie off the map.
+
+        Args:
+            stamp: of the scan, s.
+            points: in world, in the beams' order. Shape (n, 2).
+            in_view: whether the lidar looks at a point in world.
+        """
         o = self.options
         for each in self.objects:
             each.predict(stamp, o.push)
@@ -131,10 +141,14 @@ class MovingObjects:
                 MovingObject(mean, start.copy(), stamp, middles[j], seen[j] - middles[j], 1, stamp)
             )
         self.objects = [
-            each
-            for each in self.objects
-            if stamp - each.seen <= (o.memory if each.hits >= o.hits else 0.35 * o.memory)
+            each for each in self.objects if stamp - each.seen <= self._memory(each, in_view)
         ]
+
+    def _memory(self, each: MovingObject, in_view: Callable[[Array], bool]) -> float:
+        o = self.options
+        if each.hits < o.hits:
+            return 0.35 * o.memory
+        return o.unseen if each.moves and not in_view(each.mean[POSITION]) else o.memory
 
     def _judge(self, each: MovingObject) -> None:
         o = self.options

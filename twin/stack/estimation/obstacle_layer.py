@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.geometry import Array, compose2
+from twin.geometry import Array, compose2, rot2, wrap_angle
 from twin.messages import LidarScan, RgbdFrame
 from twin.stack.config import StackConfig
+from twin.stack.estimation.depth_points import DepthPoints
 from twin.stack.estimation.depth_to_scan import DepthToScan
 from twin.stack.estimation.moving_objects import MovingObjects
 from twin.stack.estimation.occupancy_grid import OCCUPIED, OccupancyGrid, SensorModel
@@ -52,6 +53,7 @@ class ObstacleLayer:
         T = config.T_base_lidar
         self._lidar_in_base = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
         self._convert = DepthToScan(config.rgbd)
+        self._solid = DepthPoints(config.rgbd, o.depth_reach)
         self._depth_model = SensorModel(
             o.depth_hit, o.depth_miss, o.depth_limit, o.depth_reach, o.depth_seam,
             self._convert.blind,
@@ -131,7 +133,13 @@ class ObstacleLayer:
             near = good & (ranges <= o.lidar_reach)
         points = self._points(place, beam_angles(scan)[near], ranges[near])
         off = self._mask(self._off_map_far, points)
-        self.moving.update(scan.stamp, points[off])
+        low, high = sorted((scan.angle_min, beam_angles(scan)[-1]))
+
+        def in_view(xy: Array) -> bool:
+            direction = wrap_angle(np.arctan2(*(xy - place[:2])[::-1]) - place[2])
+            return bool(low < direction < high)
+
+        self.moving.update(scan.stamp, points[off], in_view)
         moving = self.moving.near_moving(scan.stamp, points, 0.15) & off
         kept = np.where(near, ranges, np.inf)
         kept[np.nonzero(near)[0][moving]] = np.inf
@@ -161,7 +169,22 @@ class ObstacleLayer:
             near & ~np.isfinite(kept), ranges - 0.3, np.minimum(found.clear_to, ranges - 0.1)
         )
         clear = np.maximum(np.minimum(clear, self.options.depth_reach), 0.0)
-        return self._insert(self.depth, scan, kept, place, self._depth_model, clear)
+        fault = self._insert(self.depth, scan, kept, place, self._depth_model, clear)
+        if fault is None:
+            self._fill(pose, self._solid.find(frame.depth_mm), scan.stamp)
+        return fault
+
+    def _fill(self, pose: Array, points_base: Array, stamp: float) -> None:
+        """Raise the cells behind a front that belong to the same thing, such as a low box's top."""
+        points = points_base @ rot2(pose[2]).T + pose[:2]
+        points = points[~self.moving.near_moving(stamp, points, 0.30)]
+        cells = self.depth.cells(points)
+        h, w = self.depth.shape
+        cells = cells[(cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)]
+        cells = np.unique(cells, axis=0)
+        i, j = cells[:, 0], cells[:, 1]
+        raised = np.minimum(self.depth.log_odds[i, j] + self.options.depth_hit, 0.85)
+        self.depth.log_odds[i, j] = np.maximum(self.depth.log_odds[i, j], raised)
 
     @staticmethod
     def _insert(grid: OccupancyGrid, scan: LidarScan, ranges, place, model, clear) -> str | None:

@@ -53,6 +53,8 @@ class NavigatorOptions:
     still: float = 0.01  # m/s and rad/s that count as standing
     settle: float = 2.0  # s at the end of a band for the tolerance
     tries: int = 4  # to come within it
+    no_progress: float = 15.0  # s without coming nearer until recovery
+    recoveries: int = 4  # of one goal, after which it is given up
     keep: float = 1.2  # m within which recovery forgets nothing: out of the camera's picture
 
 
@@ -121,9 +123,15 @@ class Navigator:
         """Give the goal up; it is under way until the vehicle has come to rest."""
         self._cancelled = self.active
 
-    def restart(self) -> None:
-        """The pose has jumped to another place: forget what was seen and planned, keep the goal."""
-        self.layer.forget(np.zeros(3), keep=0.0)
+    def restart(self, jump: float = math.inf) -> None:
+        """Others have moved the vehicle: plan anew to the goal.
+
+        Args:
+            jump: m by which the believed pose was corrected meanwhile; if it was little, what was
+                seen stays true.
+        """
+        if jump > self.options.astray:
+            self.layer.forget(np.zeros(3), keep=0.0)
         self.follower.stop()
         self._reset()
 
@@ -196,6 +204,9 @@ class Navigator:
         if self._fresh:
             self._fresh = False
             self._look_ahead(now)
+            self._watch_progress(now, pose)
+            if not self.active or self.recovery.active:
+                return BodyVelocity()
         if self._brake and self.follower.stopped and self.follower.rate == 0.0:
             self.follower.stop()
             self.teb.reset()
@@ -222,7 +233,8 @@ class Navigator:
             return
         here, _ = self.follower.reference
         near = self._obstacles(now, trajectory.nodes[:, :2], here)
-        touch = trajectory.touch(self.follower.phase, self.footprint, near, self.options.touch)
+        need = min(self.options.touch, 0.5 * room(here, self.footprint, near))
+        touch = trajectory.touch(self.follower.phase, self.footprint, near, need)
         if touch == math.inf:
             return
         # At a steady pace the band takes half the stopping time for the stopping distance.
@@ -342,8 +354,31 @@ class Navigator:
             return
         moving = len(self.layer.moving.obstacles(now)) > 0
         if now - self._blocked_since > (o.patience_moving if moving else o.patience):
-            self.recoveries += 1
+            self._start_recovery(now, pose, reason)
+
+    def _start_recovery(self, now: float, pose: Array, reason: str) -> None:
+        self.recoveries += 1
+        self.events.append(f"stuck: {reason}")
+        self._progress = (now, math.inf)
+        if self.recoveries > self.options.recoveries:
+            self._end(f"given up: {reason} (recovered {self.recoveries - 1} times before)")
+        else:
             self.recovery.start(now, pose, reason)
+
+    def _watch_progress(self, now: float, pose: Array) -> None:
+        """Recovery for a vehicle that does not come nearer, whatever the plans say."""
+        left = self._left_of_path(pose)
+        way = float(np.hypot(*np.diff(left, axis=0).T).sum()) if len(left) > 1 else 0.0
+        way += 0.3 * abs(float(wrap_angle(self._pose_goal[2] - pose[2])))
+        since, least = self._progress
+        if way < least - 0.1 or self._blocked_since is not None:
+            self._progress = (now, min(way, least))
+        elif way > least + 2.0:  # another way, which is longer
+            self._progress = (now, way)
+        elif now - since > self.options.no_progress and self.follower.stopped:
+            self.follower.stop()
+            self.teb.reset()
+            self._start_recovery(now, pose, f"no progress for {self.options.no_progress:.0f} s")
 
     def _recover(self, now: float, pose: Array) -> BodyVelocity:
         near = self._costs().obstacles(pose, 2.0)
@@ -401,6 +436,7 @@ class Navigator:
         self._blocked_since: float | None = None
         self._ended: float | None = None
         self._cancelled = False
+        self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()
 

@@ -20,8 +20,11 @@ RAMP = 0.7  # m along which a bent reference leaves the straight one
 WIDEST = 1.6  # m: farther round is the global planner's business
 NEAR = 0.25  # m beside the vehicle within which an obstacle may be worth passing otherwise
 BLEND = 0.6  # m along which the heading turns into the path's
-BLIND = 1.5  # what a second of reversing counts, as the sensors look ahead
-TOUCH = 100.0  # s that a metre too little of room counts
+# What a second of going sideways and of reversing counts: the depth camera looks ahead, and behind
+# the lidar is blind too.
+SIDEWAYS, BLIND = 1.5, 3.0
+AHEAD, ABEAM = math.radians(50.0), math.radians(125.0)  # half the fields of view of both, in part
+TOUCH = 1000.0  # s that a metre too little of room counts: as good as closed
 TIGHT = 0.04  # m of room that a heading should leave
 PASSES = 50
 FEWEST = 21  # points of a reference: turning on the spot has a profile too
@@ -71,12 +74,12 @@ def headings(
         s / s[-1] if s[-1] > 0 else np.linspace(0, 1, len(s))
     )
     if s[-1] < 2 * SPACING:
-        return plain, _time(points, plain, limits)
+        return plain, _price(points, plain, limits)
     along = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     along = np.append(along, along[-1])
-    best, least = plain, _time(points, plain, limits)
+    best, least = plain, _price(points, plain, limits)
     least += TOUCH * _tightness(points, plain, half, obstacles, TIGHT)
-    for turned, price in ((0.0, 1.0), (math.pi, BLIND)):
+    for turned in (0.0, math.pi):
         yaw = along + turned
         yaw = yaw + 2 * math.pi * round((start - yaw[0]) / (2 * math.pi))
         end = yaw[-1] + wrap_angle(goal - yaw[-1])
@@ -86,7 +89,7 @@ def headings(
         out = np.clip((s[-1] - s) / blend, 0.0, 1.0)
         yaw = start + into * (yaw - start)
         yaw = end + out * (yaw - end)
-        cost = price * _time(points, yaw, limits)
+        cost = _price(points, yaw, limits)
         if cost < least:
             cost += TOUCH * _tightness(points, yaw, half, obstacles, TIGHT)
         if cost < least:
@@ -104,9 +107,15 @@ def _tightness(points, yaw, half, obstacles, need):
     return worst
 
 
-def _time(points: Array, yaw: Array, limits: Limits) -> float:
-    """Seconds that a path takes at the limits of speed alone."""
-    return float(_shares(points, yaw, limits)[0].sum())
+def _price(points: Array, yaw: Array, limits: Limits) -> float:
+    """Seconds at the limits of speed alone, those that go where no sensor looks counted more."""
+    step = np.diff(points, axis=0)
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    off = np.abs(wrap_angle(np.arctan2(step[:, 1], step[:, 0]) - middle))
+    price = np.where(off < AHEAD, 1.0, np.where(off < ABEAM, SIDEWAYS, BLIND))
+    turn = np.abs(np.diff(yaw)) * limits.turn
+    time = _shares(points, yaw, limits)[0]
+    return float(np.sum(price * (time - turn) + turn))
 
 
 def _shares(points: Array, yaw: Array, limits: Limits) -> tuple[Array, Array]:
