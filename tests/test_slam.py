@@ -111,6 +111,10 @@ def dense_step(graph):
     H, b = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
     H[:3, :3] += np.diag(graph.first_sigma**-2.0)
     b[:3] += graph.first_sigma**-2.0 * (graph.poses[0] - graph.first)
+    for node, pose, covariance in graph.anchors:
+        rows, W = slice(3 * node, 3 * node + 3), np.linalg.inv(covariance)
+        H[rows, rows] += W
+        b[rows] += W @ (graph.poses[node] - pose)
     for edge in graph.chain + graph.loops:
         J = np.zeros((3, 3 * n))
         A, B = edge_jacobians(edge, graph.poses)
@@ -128,6 +132,7 @@ def test_sparse_step_is_the_dense_one():
     for start, to in ((0, n), (2, n - 1), (n - 3, 1)):
         edge = Edge(start, to, np.array([0.1, 0.2, 0.3]), np.diag([1e-4, 2e-4, 1e-4]))
         assert graph.close(edge, gate=np.inf)
+    graph.anchor(5, graph.poses[5] + 0.01, np.diag([1e-4, 1e-4, 1e-5]))
     np.testing.assert_allclose(graph._step(), dense_step(graph), rtol=1e-6, atol=1e-8)
 
 
@@ -151,6 +156,33 @@ def test_a_wrong_loop_is_left_out():
     assert graph.close(Edge(0, n // 2, between2(true[0], true[n // 2]), covariance))
     assert graph.close(Edge(n, n // 2, between2(true[n], true[n // 2]), covariance))
     assert len(graph.loops) == 2
+
+
+def test_a_wrong_loop_that_the_loose_chain_allows_is_taken_out_again():
+    """Expected result: two right loops hold; one between, 0.15 m off, passes the chain's gate."""
+    true, graph = drifted_square(np.random.default_rng(3))
+    n, covariance = len(true) - 1, np.diag([0.01**2, 0.01**2, 0.005**2])
+    for start, to in ((0, n), (2, n - 2)):
+        assert graph.close(Edge(start, to, between2(true[start], true[to]), covariance))
+        assert graph.settle()
+    settled = np.array(graph.poses)
+    wrong = between2(true[1], true[n - 1]) + np.array([0.15, 0.0, 0.0])
+    assert graph.close(Edge(1, n - 1, wrong, covariance))
+    assert not graph.settle() and len(graph.loops) == 2
+    np.testing.assert_array_equal(np.array(graph.poses), settled)
+
+
+def test_anchored_chain_does_not_bend_to_a_wrong_loop():
+    true, graph = drifted_square(np.random.default_rng(3))
+    graph.poses = list(true)
+    n, covariance = len(true) - 1, np.diag([0.01**2, 0.01**2, 0.005**2])
+    for node in range(1, n + 1, 4):
+        graph.anchor(node, true[node], np.diag([0.01**2, 0.01**2, 0.005**2]))
+    graph.optimise()
+    wrong = between2(true[1], true[n - 1]) + np.array([0.20, 0.0, 0.0])
+    assert graph.close(Edge(1, n - 1, wrong, covariance))
+    assert not graph.settle() and not graph.loops
+    assert np.abs(np.array(graph.poses) - true)[:, :2].max() < 0.05
 
 
 def test_chain_covariance_is_that_of_many_drives():

@@ -1,8 +1,9 @@
 """Poses that agree best with all that was measured between them: pose graph in the plane.
 
-Nodes 0 ... n-1 form a chain, each measured from the one before; further edges close loops. The
-normal equations are then block-tridiagonal but for a few loops: the chain is solved in linear time
-and the loops enter by Woodbury's identity, so nothing of size n x n is ever built.
+Nodes 0 ... n-1 form a chain, each measured from the one before; further edges close loops, and
+nodes may be held in world (anchors). The normal equations are then block-tridiagonal but for a few
+loops: the chain is solved in linear time and the loops enter by Woodbury's identity, so nothing of
+size n x n is ever built.
 """
 
 from dataclasses import dataclass, field
@@ -36,6 +37,8 @@ class PoseGraph:
     poses: list[Array] = field(default_factory=list)  # of the nodes, in world
     chain: list[Edge] = field(default_factory=list)  # edge i leads from node i to i + 1
     loops: list[Edge] = field(default_factory=list)
+    # Nodes whose pose in world was measured by itself: number, pose, covariance in world axes.
+    anchors: list[tuple[int, Array, Array]] = field(default_factory=list)
 
     def __post_init__(self):
         self.first = np.array(self.first, dtype=float)
@@ -113,6 +116,52 @@ class PoseGraph:
         squares = [e @ np.linalg.solve(loop.covariance, e) for loop, e in self._loop_errors()]
         return float(np.sqrt(np.mean(squares)))
 
+    def settle(self, gate: float = 16.27) -> bool:
+        """Optimise with the newest loop, and leave it out if the rest must bend too far for it.
+
+        A chain that has drifted far lets a wrong loop pass its own gate; a chain that other loops
+        hold does not.
+
+        Args:
+            gate: rise of the sum of all squared normalised errors that one true loop may cause;
+                chi-square, three degrees of freedom, 99.9 %.
+
+        Returns:
+            False if the newest loop was taken out again; the poses are then as before.
+        """
+        before, newest = [pose.copy() for pose in self.poses], self.loops.pop()
+        self.optimise()
+        cost = self.cost()
+        self.loops.append(newest)
+        self.optimise()
+        if self.cost() - cost <= gate:
+            return True
+        self.loops.pop()
+        self.poses = before
+        return False
+
+    def cost(self) -> float:
+        """Sum of the squared normalised errors of prior, anchors, chain and loops."""
+        total = 0.0
+        for _, offset, W in self._held():
+            total += float(offset @ W @ offset)
+        for edge in self.chain + self.loops:
+            e = edge_error(edge, self.poses)
+            total += float(e @ np.linalg.solve(edge.covariance, e))
+        return total
+
+    def anchor(self, node: int, pose: Array, covariance: Array) -> None:
+        """Hold a node where it was measured in world, as far as its covariance says."""
+        self.anchors.append((node, np.array(pose, dtype=float), np.array(covariance)))
+
+    def _held(self):
+        """Node, believed less measured pose, and information of the prior and the anchors."""
+        prior = (0, self.first, np.diag(self.first_sigma**2.0))
+        for node, pose, covariance in (prior, *self.anchors):
+            offset = self.poses[node] - pose
+            offset[2] = wrap_angle(offset[2])
+            yield node, offset, np.linalg.inv(covariance)
+
     def _loop_errors(self):
         return [(loop, edge_error(loop, self.poses)) for loop in self.loops]
 
@@ -121,11 +170,9 @@ class PoseGraph:
         n = len(self.poses)
         diagonal, below = np.zeros((n, 3, 3)), np.zeros((max(n - 1, 0), 3, 3))
         gradient = np.zeros((n, 3))
-        prior = np.diag(self.first_sigma**-2.0)
-        offset = self.poses[0] - self.first
-        offset[2] = wrap_angle(offset[2])
-        diagonal[0] += prior
-        gradient[0] += prior @ offset
+        for node, offset, W in self._held():
+            diagonal[node] += W
+            gradient[node] += W @ offset
         for edge in self.chain:
             e, A, B = edge_error(edge, self.poses), *edge_jacobians(edge, self.poses)
             W = np.linalg.inv(edge.covariance)

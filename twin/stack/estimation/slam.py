@@ -15,7 +15,7 @@ from twin.geometry import Array, between2, compose2, rot2, wrap_angle
 from twin.messages import LidarScan
 from twin.stack.estimation.depth_to_scan import DepthScan
 from twin.stack.estimation.occupancy_grid import OccupancyGrid, SensorModel
-from twin.stack.estimation.pose_graph import Edge, PoseGraph
+from twin.stack.estimation.pose_graph import Edge, PoseGraph, edge_error
 from twin.stack.estimation.scan_matching import Match, MatchSettings, match_scan
 from twin.stack.estimation.scans import beam_points, scan_fault, without_offset
 from twin.stack.estimation.surfaces import SurfaceMap
@@ -40,6 +40,11 @@ class SlamSettings:
     loop_neighbours: int = 6  # key frames on either side drawn for a try
     loop_inliers: float = 0.75
     loop_conditioning: float = 0.15  # a bare corridor closes no loop
+    # m and rad by which a loop must disagree with the tracked pose for the maps to be bent: within
+    # them the scan has already been matched to the old map.
+    loop_apart: tuple[float, float] = (0.03, 0.006)
+    anchor_inliers: float = 0.30  # share of a key frame's points on surveyed walls that hold it
+    anchor_grain: tuple[float, float] = (0.005, 0.001)  # m and rad that such a match may err
     tracking: MatchSettings = field(default_factory=lambda: MatchSettings(window=(0.10, 0.05)))
     closing: MatchSettings = field(
         default_factory=lambda: MatchSettings(window=(0.80, 0.20), step=(0.08, 0.02), sigma=0.15)
@@ -95,6 +100,7 @@ class Slam:
         self.graph = PoseGraph(self.pose, np.asarray(start_sigma, dtype=float))
         self.stamp = -np.inf
         self.matched = self.lost = 0  # scans that corrected the pose, scans that could not
+        self.refused = 0  # loops that the path or other loops contradict
         self.ignored = 0  # scans that were broken, late or came twice
         self.fault: str | None = None  # why the last reading was dropped
         self._lidar_in_base = np.array(lidar_in_base, dtype=float)
@@ -104,7 +110,8 @@ class Slam:
         grid = self.lidar
         self._surfaces = SurfaceMap(grid.origin, resolution, grid.shape, surveyed)
         known = surveyed is not None and len(surveyed) > 0
-        self._field = self._surfaces.field(settings.field_limit) if known else None
+        self._walls = self._surfaces.field(settings.field_limit) if known else None
+        self._field = self._walls
 
     @property
     def path(self) -> list[tuple[float, Array]]:
@@ -252,6 +259,19 @@ class Slam:
         sensor = compose2(self.pose, self._lidar_in_base)
         self.lidar.insert_scan(scan, sensor, self.settings.lidar)
         self._surfaces.add(compose_points(self.pose, points))
+        self._anchor(points)
+
+    def _anchor(self, points: Array) -> None:
+        """Hold the newest key frame by the surveyed walls that it sees."""
+        s = self.settings
+        if self._walls is None:
+            return
+        match = match_scan(self._walls, points, self.pose, s.tracking, search=False)
+        if match is None or match.inliers < s.anchor_inliers:
+            return
+        shift, turn = s.anchor_grain
+        grain = np.diag([shift**2, shift**2, turn**2])
+        self.graph.anchor(len(self.key_frames) - 1, match.pose, match.covariance + grain)
 
     def _renew_field(self) -> None:
         self._field = self._surfaces.field(self.settings.field_limit, self.lidar.occupied)
@@ -279,9 +299,16 @@ class Slam:
         grain = np.diag([0.01**2, 0.01**2, 0.003**2])
         covariance = R @ match.covariance @ R.T + grain
         edge = Edge(near, here, between2(poses[near], match.pose), covariance)
+        x, y, yaw = edge_error(edge, self.graph.poses)
+        agrees = np.hypot(x, y) < s.loop_apart[0] and abs(yaw) < s.loop_apart[1]
         if not self.graph.close(edge):
+            self.refused += 1
             return False
-        self.graph.optimise()
+        if agrees:
+            return False
+        if not self.graph.settle():
+            self.refused += 1
+            return False
         self.pose = self.graph.poses[here].copy()
         return True
 

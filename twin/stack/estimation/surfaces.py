@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from twin.geometry import Array
 
 APART = 0.12  # m from a surveyed wall within which its own place counts, and not what was measured
-AROUND = 2  # cells on either side through whose means a line is laid
-STRAIGHT = 0.10  # standard deviation across over along, up to which the means make a line
+AROUND = 3  # cells on either side through whose means a line is laid
+STRAIGHT = 0.20  # standard deviation across over along, up to which the means make a line
 
 
 @dataclass(frozen=True)

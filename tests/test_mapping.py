@@ -1,0 +1,67 @@
+"""Scenario mapping: obstacles and the camera's wrong drawing, and the files of a short run."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from evaluation.run import RunRequest
+from scenarios.mapping import (
+    BOTH_SEE,
+    LIDAR_MISSES,
+    ROUTE,
+    WRONG_SHIFT,
+    WRONG_TURN,
+    apart,
+    run,
+    with_obstacles,
+    with_wrong_camera,
+)
+from twin.floor_plan import FOOTPRINT, machines
+from twin.geometry import rectangle, rectangles_overlap
+from twin.layout import load_layout
+from twin.plant.obstacles import OUTLINE
+from twin.stack.config import nominal_config
+from twin.stack.estimation.map_file import load_map
+from twin.stack.estimation.vehicle_calibration import load_calibration
+
+LAYOUT = load_layout()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_obstacles_stand_beside_the_route_and_are_of_all_kinds(seed):
+    layout = with_obstacles(LAYOUT, np.random.default_rng(seed))
+    obstacles = layout.world.faults.obstacles
+    kinds = Counter(o.kind for o in obstacles)
+    assert len(obstacles) == 12 and all(kinds[kind] == 1 for kind in LIDAR_MISSES)
+    assert sum(kinds[kind] for kind in BOTH_SEE) == 8
+    boxes = [rectangle(*o.pose, *OUTLINE[o.kind]) for o in obstacles]
+    built = [box for boxes_ in machines(layout.site).values() for box in boxes_]
+    for i, box in enumerate(boxes):
+        for other in (*boxes[:i], *built):
+            assert not rectangles_overlap(box, other)
+        for _, pose in ROUTE:
+            assert not rectangles_overlap(box, rectangle(*pose, *FOOTPRINT))
+
+
+def test_camera_is_drawn_wrong_by_as_much_as_is_said():
+    config = nominal_config(LAYOUT.site, LAYOUT.options)
+    for seed in range(5):
+        wrong = with_wrong_camera(config, np.random.default_rng(seed))
+        shift, turn = apart(wrong.rgbd.T_base_camera, config.rgbd.T_base_camera)
+        assert shift == pytest.approx(WRONG_SHIFT) and turn == pytest.approx(WRONG_TURN)
+
+
+def test_short_run_leaves_maps_that_can_be_loaded(tmp_path):
+    """Expected result: one second at the dock sees the walls of the cell, and reports them."""
+    result = run(RunRequest(seed=3, out=tmp_path, duration=1.0), LAYOUT)
+    assert not result.complete
+    assert result.metrics["occupied_precision_lidar"] > 0.9
+    assert 0.05 < result.metrics["occupied_recall_lidar"] < 1.0
+    assert np.isnan(result.metrics.get("calibration_error_mm", np.nan))
+    for name in ("lidar", "rgbd", "fused"):
+        grid = load_map(tmp_path / f"{name}.yaml")
+        assert grid.occupied.any() == (name != "rgbd")  # its pictures wait for the calibration
+        assert (tmp_path / f"map_{name}_errors.png").stat().st_size > 0
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_calibration(tmp_path / "calibration.json")
