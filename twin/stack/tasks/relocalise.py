@@ -18,7 +18,9 @@ from twin.stack.tasks.careful_drive import (
     middle,
 )
 
-LOOK = 0.8  # s standing first: scans of one place gather the particles
+LOOK, LOOK_MOST = 0.8, 4.0  # s standing first: scans of one place gather the particles
+AT_REST = 0.03  # m/s and rad/s
+BOXED = 1.0  # s without a way after which what is remembered is forgotten, and seen anew
 PLAN = 0.05  # s between looks at the way; the lidar sends every 0.1 s
 ENOUGH = 0.45  # m of free way that is worth driving off
 PLENTY = 0.80  # m of free way after which a turn on the spot ends
@@ -50,7 +52,7 @@ class Relocaliser:
         self._wanted = np.zeros(3)
         self._command = np.zeros(3)
         self._turning = 0.0  # direction of a turn on the spot under way
-        self._escape = np.zeros(3)
+        self._looking, self._boxed_since = True, np.inf
         self.done, self.reason = False, "standing to look around"
 
     def step(
@@ -71,12 +73,12 @@ class Relocaliser:
             localiser: asked for its odometry and whether it is still lost.
         """
         dt, self._now = max(now - self._now, 0.0), now
-        if depth_points_base is not None:
+        if depth_points_base is not None and not self._looking:
             self._memory.add(now, depth_points_base, localiser.fused.pose(now))
         if not localiser.lost:
             self.done, self.reason = True, "found"
             self._wanted = np.zeros(3)
-        elif now - self._began < LOOK or not localiser.ready:
+        elif self._looking and not self._looked(now, localiser):
             self._wanted = np.zeros(3)
         elif now - self._planned >= PLAN:
             self._planned = now
@@ -90,6 +92,18 @@ class Relocaliser:
         most = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
         self._command = self._command + np.clip(self._wanted - self._command, -most, most)
         return BodyVelocity(*(float(v) for v in self._command))
+
+    def _looked(self, now: float, localiser: Localiser) -> bool:
+        """Whether it has stood long enough, at rest in the odometry's eyes too.
+
+        Odometry that has not noticed yet that the vehicle was stopped would smear what is seen.
+        """
+        waited = now - self._began
+        at_rest = float(np.max(np.abs(localiser.velocity))) < AT_REST
+        self._looking = not (
+            waited >= LOOK and localiser.ready and (at_rest or waited >= LOOK_MOST)
+        )
+        return not self._looking
 
     def _plan(self, points: Array) -> Array:
         """Velocity in base that goes on along the free way, shape (3,)."""
@@ -122,7 +136,12 @@ class Relocaliser:
         best = int(np.argmax(free))
         if free[best] < 0.10:
             self.reason = "boxed in: no way is free"
+            self._boxed_since = min(self._boxed_since, self._now)
+            if self._now - self._boxed_since > BOXED:
+                self._memory.clear()
+                self._boxed_since = np.inf
             return np.zeros(3)
+        self._boxed_since = np.inf
         self.reason = "moving away from what is near"
         return np.array(ways[best])
 
