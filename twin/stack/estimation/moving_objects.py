@@ -32,7 +32,11 @@ class MovingOptions:
     rest: float = 0.06  # m/s below which it has stopped
     memory: float = 1.0  # s for which one that should be seen is expected to go on
     unseen: float = 4.0  # s likewise where the lidar does not look
-    behind: float = 0.15  # m by which it is taken larger than what is seen of it
+    deep: float = 0.40  # m at least that it reaches behind what is seen of it; a cart's width
+    margin: float = 0.08  # m by which it is taken larger
+    late: float = 0.25  # s of its way by which it is taken larger: speed and place are estimates
+    resume: float = 20.0  # s for which one that has stopped may go on as before
+    lane: float = 4.0  # s of its way that others had better leave free
 
 
 @dataclass
@@ -47,6 +51,8 @@ class MovingObject:
     hits: int = 1
     seen: float = 0.0  # s, when last
     moves: bool = False
+    last_way: Array = field(default_factory=lambda: np.zeros(2))  # velocity when it last moved
+    last_moved: float = -np.inf  # s
 
     @property
     def speed(self) -> float:
@@ -72,15 +78,15 @@ class MovingObject:
         self.mean = self.mean + K @ (middle - self.mean[POSITION])
         self.covariance = self.covariance - K @ self.covariance[POSITION]
 
-    def row(self, now: float, behind: float) -> Array:
-        """Capsule about what is seen of it, a row as in `planning.clearance`. Shape (7,)."""
+    def row(self, now: float, options: MovingOptions) -> Array:
+        """Capsule about the whole of it, a row as in `planning.clearance`. Shape (7,)."""
         centre = self.mean[POSITION] + self.mean[VELOCITY] * (now - self.stamp)
-        spread = self.points - 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
-        axis = np.linalg.eigh(spread.T @ spread + 1e-9 * np.eye(2))[1][:, 1]
-        along, across = spread @ axis, spread @ np.array([-axis[1], axis[0]])
-        half = max(float(np.abs(along).max()), 0.05)
-        radius = max(float(np.abs(across).max()), 0.05) + behind
-        reach = max(half - 0.5 * radius, 0.0) * axis
+        axis = np.linalg.eigh(self.points.T @ self.points + 1e-9 * np.eye(2))[1][:, 1]
+        along, across = self.points @ axis, self.points @ np.array([-axis[1], axis[0]])
+        half = max(float(np.ptp(along)), options.deep) / 2
+        radius = max(float(np.ptp(across)), options.deep) / 2
+        reach = max(half - 0.7 * radius, 0.0) * axis
+        radius += options.margin + options.late * self.speed
         return np.array([*(centre - reach), *(centre + reach), radius, *self.mean[VELOCITY]])
 
 
@@ -90,6 +96,15 @@ def clusters(points: Array, gap: float, fewest: int) -> list[Array]:
         return []
     cuts = np.nonzero(np.hypot(*np.diff(points, axis=0).T) > gap)[0] + 1
     return [part for part in np.split(points, cuts) if len(part) >= fewest]
+
+
+def _middle(points: Array, eye: Array | None, deep: float) -> Array:
+    """Middle of a thing of which the side towards the eye is seen. Shape (2,)."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    if eye is None:
+        return middle
+    away = (middle - eye) / max(float(np.hypot(*(middle - eye))), 1e-6)
+    return middle + 0.5 * max(deep - float(np.ptp(points @ away)), 0.0) * away
 
 
 class MovingObjects:
@@ -104,20 +119,25 @@ class MovingObjects:
         self.objects: list[MovingObject] = []
 
     def update(
-        self, stamp: float, points: Array, in_view: Callable[[Array], bool] = lambda xy: True
+        self,
+        stamp: float,
+        points: Array,
+        eye: Array | None = None,
+        in_view: Callable[[Array], bool] = lambda xy: True,
     ) -> None:
         """Take the points of a scan that lie off the map.
 
         Args:
             stamp: of the scan, s.
             points: in world, in the beams' order. Shape (n, 2).
+            eye: x, y of the lidar in world; things are deeper than what is seen of them.
             in_view: whether the lidar looks at a point in world.
         """
         o = self.options
         for each in self.objects:
             each.predict(stamp, o.push)
         seen = [c for c in clusters(points, o.gap, o.fewest) if np.ptp(c, axis=0).max() < o.longest]
-        middles = np.array([0.5 * (c.min(axis=0) + c.max(axis=0)) for c in seen]).reshape(-1, 2)
+        middles = np.array([_middle(c, eye, o.deep) for c in seen]).reshape(-1, 2)
         free = set(range(len(seen)))
         if self.objects and seen:
             places = np.array([each.mean[POSITION] for each in self.objects])
@@ -131,14 +151,16 @@ class MovingObjects:
                     continue
                 free.discard(j)
                 each.update(middles[j], o.noise)
-                each.points, each.seen = seen[j] - middles[j], stamp
+                each.points, each.seen = seen[j] - seen[j].mean(axis=0), stamp
                 each.hits += 1
                 self._judge(each)
         start = np.diag([o.noise**2] * 2 + [o.start_speed**2] * 2)
         for j in sorted(free):
             mean = np.array([*middles[j], 0.0, 0.0])
             self.objects.append(
-                MovingObject(mean, start.copy(), stamp, middles[j], seen[j] - middles[j], 1, stamp)
+                MovingObject(
+                    mean, start.copy(), stamp, middles[j], seen[j] - seen[j].mean(axis=0), 1, stamp
+                )
             )
         self.objects = [
             each for each in self.objects if stamp - each.seen <= self._memory(each, in_view)
@@ -153,6 +175,8 @@ class MovingObjects:
     def _judge(self, each: MovingObject) -> None:
         o = self.options
         if each.moves:
+            if each.speed > o.speed:
+                each.last_way, each.last_moved = each.mean[VELOCITY].copy(), each.stamp
             if each.speed < o.rest:
                 each.moves, each.born = False, each.mean[POSITION].copy()
             return
@@ -162,8 +186,18 @@ class MovingObjects:
 
     def obstacles(self, now: float) -> Array:
         """Those that move, rows as in `planning.clearance`, where they are now. Shape (n, 7)."""
-        rows = [each.row(now, self.options.behind) for each in self.objects if each.moves]
+        rows = [each.row(now, self.options) for each in self.objects if each.moves]
         return np.array(rows).reshape(-1, 7)
+
+    def lanes(self, now: float) -> list[tuple[Array, Array, float]]:
+        """Where what moves, or has stopped lately, will go: from, to in world, half width, m."""
+        o, out = self.options, []
+        for each in self.objects:
+            if each.moves or now - each.last_moved < o.resume:
+                way = each.mean[VELOCITY] if each.moves else each.last_way
+                start = each.mean[POSITION] + each.mean[VELOCITY] * (now - each.stamp)
+                out.append((start, start + o.lane * way, 0.5 * o.deep + o.margin))
+        return out
 
     def near_moving(self, stamp: float, points: Array, margin: float) -> Array:
         """Which of points (n, 2) in world belong to something that moves. Shape (n,), bool."""
@@ -171,6 +205,6 @@ class MovingObjects:
         for each in self.objects:
             if each.moves and len(points):
                 centre = each.mean[POSITION] + each.mean[VELOCITY] * (stamp - each.stamp)
-                reach = float(np.hypot(*each.points.T).max()) + margin
+                reach = max(float(np.hypot(*each.points.T).max()), 0.5 * self.options.deep) + margin
                 out |= np.hypot(*(points - centre).T) < reach
         return out

@@ -139,7 +139,7 @@ class ObstacleLayer:
             direction = wrap_angle(np.arctan2(*(xy - place[:2])[::-1]) - place[2])
             return bool(low < direction < high)
 
-        self.moving.update(scan.stamp, points[off], in_view)
+        self.moving.update(scan.stamp, points[off], place[:2], in_view)
         moving = self.moving.near_moving(scan.stamp, points, 0.15) & off
         kept = np.where(near, ranges, np.inf)
         kept[np.nonzero(near)[0][moving]] = np.inf

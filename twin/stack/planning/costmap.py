@@ -88,6 +88,16 @@ class Costmap:
         ends = self.centres(runs.reshape(-1, 2, 2) + np.array([i0, j0])).reshape(-1, 4)
         return segments(ends, 0.5 * self.resolution)
 
+    def dearer(self, start: Array, end: Array, half: float, cost: int) -> None:
+        """Raise to `cost` the passable cells within `half` m of a line between world points."""
+        a, b = (
+            np.rint((p - self.origin) / self.resolution - 0.5).astype(int) for p in (start, end)
+        )
+        mask = np.zeros(self.cells.shape, dtype=np.uint8)
+        width = max(round(2 * half / self.resolution), 1)
+        cv2.line(mask, (int(a[0]), int(a[1])), (int(b[0]), int(b[1])), 1, width)
+        self.cells[(mask > 0) & (self.cells < cost)] = cost
+
     def fits(self, pose: Array, footprint: Footprint, margin: float = 0.0) -> bool:
         """Whether the vehicle's true rectangle at (x, y, yaw) keeps `margin` to lethal cells."""
         near = self.obstacles(pose, footprint.circumscribed + margin + self.resolution)

@@ -24,11 +24,14 @@ from twin.stack.planning.clearance import (
     room,
     room_back,
     room_to_turn,
+    standing,
 )
 from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
 from twin.stack.planning.recovery import Recovery, Stage
 from twin.stack.planning.teb import Teb
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
+
+LANE = 240  # cost of a cell that something that moves will pass: nearly closed
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class NavigatorOptions:
     closing: float = 1.0  # s before the end from which a good band is not replaced
     touch: float = 0.015  # m of room below which the way ahead is not free
     reaction: float = 0.25  # s added to the stopping time: sensors' latency and period
+    caution: float = 0.5  # s more for what moves: it sees a vehicle that stands
     patience: float = 2.0  # s without a plan until recovery
     patience_moving: float = 6.0  # s likewise while something moves near by
     tolerance: float = 0.008  # m of the estimate at a reached goal
@@ -233,13 +237,16 @@ class Navigator:
             return
         here, _ = self.follower.reference
         near = self._obstacles(now, trajectory.nodes[:, :2], here)
-        need = min(self.options.touch, 0.5 * room(here, self.footprint, near))
-        touch = trajectory.touch(self.follower.phase, self.footprint, near, need)
-        if touch == math.inf:
+        o, phase = self.options, self.follower.phase
+        need = min(o.touch, 0.5 * room(here, self.footprint, near))
+        still = standing(near)
+        touch = trajectory.touch(phase, self.footprint, near[still], need)
+        meet = trajectory.touch(phase, self.footprint, near[~still], need)
+        if min(touch, meet) == math.inf:
             return
         # At a steady pace the band takes half the stopping time for the stopping distance.
-        if touch < 0.5 * self.follower.stopping_time() + self.options.reaction:
-            self._brake = True
+        stop = 0.5 * self.follower.stopping_time() + o.reaction
+        self._brake = touch < stop or meet < stop + o.caution
         self._due, self._in_the_way = now, True
 
     def _at_end(self, now: float, pose: Array, velocity: Array) -> None:
@@ -306,6 +313,11 @@ class Navigator:
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
         o, costs = self.options, self._costs()
+        lanes = self.layer.moving.lanes(now)
+        if lanes:
+            costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
+            for a, b, half in lanes:
+                costs.dearer(a, b, half + self.footprint.inscribed, LANE)
         left = self._left_of_path(start)
         blocked = len(left) == 0 or astar.blocked(costs, left)
         if not blocked and now < self._path_due:
@@ -382,7 +394,8 @@ class Navigator:
 
     def _recover(self, now: float, pose: Array) -> BodyVelocity:
         near = self._costs().obstacles(pose, 2.0)
-        near = np.vstack([_shrunk(near, pose, self.footprint), self.layer.moving.obstacles(now)])
+        near = np.vstack([near, self.layer.moving.obstacles(now)])
+        near = _shrunk(near, pose, self.footprint)
         turn = room_to_turn(pose, self.footprint, near)
         back = room_back(pose, self.footprint, near)
         step = self.recovery.step(now, pose, self._recovered, turn, back)
@@ -417,9 +430,9 @@ class Navigator:
         way = np.vstack([start[:2], way]) if len(way) else start[None, :2]
         s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
         way = way[s <= self.teb.options.horizon + 1.0]
-        standing = self._costs().obstacles_along(way, self.options.beside)
-        standing = _shrunk(standing, start, self.footprint)
-        return np.vstack([standing, self.layer.moving.obstacles(now)])
+        around = self._costs().obstacles_along(way, self.options.beside)
+        around = np.vstack([around, self.layer.moving.obstacles(now)])
+        return _shrunk(around, start, self.footprint)
 
     def _end(self, outcome: str) -> None:
         assert self._goal is not None
