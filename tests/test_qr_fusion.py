@@ -142,3 +142,36 @@ def test_before_any_scan_the_source_holds():
     vehicle = np.array([3.2, 1.0, 0.0])
     found = QrFusion(TAGS, TagPolicy()).update(fix_of(vehicle), vehicle + 1, ESTIMATE, amcl.fit)
     assert found.action == "reset"
+
+
+def test_further_sights_hold_the_vehicle_against_drift():
+    """Expected: a misplaced tag tells nothing new when seen again, but drift while over it goes.
+
+    The tag lies 3 mm off. The belief after its first sight keeps what is left of that error while
+    vehicle and belief drift apart by 1 mm a sight, and it is never surer than it was then.
+    """
+    placed, fusion = compose2(TAGS["A1"], (0.003, 0.0, 0.0)), QrFusion(TAGS)
+    vehicle = np.array([3.05, 1.02, 0.1])
+    growth = np.diag([0.003, 0.003, 0.002]) ** 2
+    first = fusion.update(
+        fix_of(vehicle, placed=placed), vehicle + np.array([0.01, 0, 0]), ESTIMATE
+    )
+    error, pose, covariance = first.pose - vehicle, first.pose, first.covariance
+    for k in range(1, 30):
+        vehicle = compose2(vehicle, (0.001, -0.0005, 0.02))
+        pose = compose2(pose, (0.002, -0.0005, 0.02))  # reckoned
+        sight = fix_of(vehicle, placed=placed, stamp=1.0 + 0.05 * k)
+        found = fusion.update(sight, pose, covariance + growth)
+        assert found.action == "fused"
+        np.testing.assert_allclose(found.pose - vehicle, error, atol=2e-4)
+        np.testing.assert_allclose(found.covariance, first.covariance)
+        pose, covariance = found.pose, found.covariance
+
+
+def test_a_further_sight_leaves_alone_what_is_known_better():
+    vehicle, fusion = np.array([3.05, 1.02, 0.1]), QrFusion(TAGS)
+    fusion.update(fix_of(vehicle), vehicle, ESTIMATE)
+    pose, better = vehicle + np.array([0.001, 0, 0]), 0.01 * SIGHT
+    found = fusion.update(fix_of(vehicle, stamp=1.05), pose, better)
+    np.testing.assert_array_equal(found.pose, pose)
+    np.testing.assert_array_equal(found.covariance, better)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from twin.geometry import Array, between2, rot2, wrap_angle
+from twin.geometry import Array, between2, compose2, rot2, wrap_angle
 from twin.stack.detection.qr import TagFix
 
 # Squared Mahalanobis distance between tag and estimate: chi-square, 3 degrees of freedom, 99.9 %.
@@ -61,7 +61,8 @@ class QrFusion:
         self, tags: Mapping[str, tuple[float, float, float]], policy: TagPolicy | None = None
     ):
         self._tags, self._policy = dict(tags), policy or TagPolicy()
-        self._stamp, self._last_id, self._sights = -np.inf, "", 0
+        self._stamp, self._last_id = -np.inf, ""
+        self._lies, self._first = np.zeros(3), np.eye(3)  # tag and covariance after a first sight
 
     def update(
         self,
@@ -96,16 +97,34 @@ class QrFusion:
             at = f"{np.hypot(*off[:2]):.3f} m and {np.degrees(off[2]):.1f} deg off"
             why = f"tag {fix.text.tag_id}: {at}, where the scan does not fit"
             return TagDecision("refused", pose, covariance, why)
-        self._note(fix)
+        again = self._note(fix)
         if far or (strange and agreed):
-            return TagDecision("reset", by_tag, sight)
-        # Sights of one tag share its placement error: the k-th of a pass counts 1 / k^2.
-        sight = sight * self._sights**2
+            return self._keep(fix, TagDecision("reset", by_tag, sight))
+        if again:
+            return self._hold(fix, pose, covariance)
         gain = covariance @ np.linalg.inv(covariance + sight)
         fused = pose + gain @ off
         fused[2] = wrap_angle(fused[2])
         rest = np.eye(3) - gain
-        return TagDecision("fused", fused, rest @ covariance @ rest.T + gain @ sight @ gain.T)
+        after = rest @ covariance @ rest.T + gain @ sight @ gain.T
+        return self._keep(fix, TagDecision("fused", fused, after))
+
+    def _keep(self, fix: TagFix, decision: TagDecision) -> TagDecision:
+        """Remember where the tag lies if the pose after its first sight is right."""
+        self._lies = compose2(decision.pose, fix.pose_base_tag)
+        self._first = decision.covariance
+        return decision
+
+    def _hold(self, fix: TagFix, pose: Array, covariance: Array) -> TagDecision:
+        """A further sight of the same pass.
+
+        It shares the error of the tag's placement with the first, so it tells nothing new of where
+        the tag lies; but it tells to a fraction of a millimetre how the vehicle has moved since.
+        What was known then holds still, if drift has not left more than that.
+        """
+        if np.trace(covariance[:2, :2]) <= np.trace(self._first[:2, :2]):
+            return TagDecision("fused", pose, covariance)
+        return TagDecision("fused", fix.vehicle_pose(self._lies), self._first.copy())
 
     def _fault(self, fix: TagFix) -> str | None:
         text, p = fix.text, self._policy
@@ -131,7 +150,8 @@ class QrFusion:
             return None
         return bool(there >= self._policy.consent * here)
 
-    def _note(self, fix: TagFix) -> None:
+    def _note(self, fix: TagFix) -> bool:
+        """Whether this is a further sight of the same pass."""
         again = fix.text.tag_id == self._last_id and fix.stamp - self._stamp < self._policy.forget
-        self._sights = self._sights + 1 if again else 1
         self._stamp, self._last_id = fix.stamp, fix.text.tag_id
+        return again
