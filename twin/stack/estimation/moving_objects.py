@@ -24,7 +24,7 @@ class MovingOptions:
     longest: float = 1.6  # m: larger ones are no carts
     gate: float = 0.5  # m from where it is expected: 0.1 s of 2 m/s and the middle's wander
     noise: float = 0.04  # m, 1 sigma of a cluster's middle
-    push: float = 1.0  # m/s^2, 1 sigma of an object's acceleration
+    push: float = 0.5  # m/s^2, 1 sigma of an object's acceleration
     start_speed: float = 1.0  # m/s, 1 sigma at birth
     speed: float = 0.15  # m/s from which it moves
     way: float = 0.20  # m that it must have come
@@ -180,7 +180,7 @@ class MovingObjects:
             if each.speed < o.rest:
                 each.moves, each.born = False, each.mean[POSITION].copy()
             return
-        sigma = float(np.sqrt(np.trace(each.covariance[VELOCITY, VELOCITY])))
+        sigma = float(np.sqrt(0.5 * np.trace(each.covariance[VELOCITY, VELOCITY])))
         come = float(np.hypot(*(each.mean[POSITION] - each.born)))
         each.moves = each.hits >= o.hits and each.speed > max(o.speed, 2 * sigma) and come > o.way
 
