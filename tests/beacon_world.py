@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin.geometry import apply, inverse, rot_z, transform
+from twin.geometry import rot_z, transform
 from twin.stack.estimation.beacons.stamps import (
     PLANE_1,
     PLANE_2,
@@ -30,13 +30,17 @@ TRUSS = np.array(
 
 
 def exp_twist(twist, t):
-    """Motion of t seconds with a constant twist in body axes, by the matrix exponential's series."""
-    v, w = np.asarray(twist[:3]) * t, np.asarray(twist[3:]) * t
+    """Motion of t seconds with a constant twist in body axes: the matrix exponential's series.
+
+    Shapes (6,), (...) to (..., 4, 4).
+    """
+    v, w = np.asarray(twist[:3]), np.asarray(twist[3:])
     M = np.zeros((4, 4))
     M[:3, :3] = [[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]
     M[:3, 3] = v
-    out, term = np.eye(4), np.eye(4)
-    for k in range(1, 18):
+    M = M * np.asarray(t, dtype=float)[..., None, None]
+    out, term = np.eye(4) + 0 * M, np.eye(4) + 0 * M
+    for k in range(1, 12 if np.any(twist) else 1):
         term = term @ M / k
         out = out + term
     return out
@@ -53,11 +57,11 @@ class BeaconWorld:
     nodes: np.ndarray = field(default_factory=lambda: TRUSS.copy())
     names: tuple = NAMES
     survey_sigma: float = 30e-6
-    head: HeadParameters = HeadParameters()
+    head: HeadParameters = field(default_factory=HeadParameters)
     spin_rate: float = 30.0
-    noise: Noise = Noise()
-    sequence: SyncSequence = SyncSequence()
-    counter: Counter = Counter()
+    noise: Noise = field(default_factory=Noise)
+    sequence: SyncSequence = field(default_factory=SyncSequence)
+    counter: Counter = field(default_factory=Counter)
     drift: float = 100e-6  # 1 sigma of the clocks' rates
     blocked: tuple = ()  # names
     missed_sync: float = 0.0  # probability
@@ -79,13 +83,14 @@ class BeaconWorld:
         knots = 1.0 + n.spin_jitter * rng.standard_normal(self.revolutions + 4)
         begin = -(self.revolutions - 0.5) * period  # first zero instant of the batch
 
+        mean = 0.5 * (knots[:-1] + knots[1:])
+        whole = np.concatenate([[0.0], np.cumsum(mean)]) - mean[0]
+
         def turns(t):  # since the first zero instant; the speed runs evenly from knot to knot
-            x = (t - begin) / period + 1.0
-            k = int(np.clip(np.floor(x), 0, len(knots) - 2))
-            x -= k
-            mean = 0.5 * (knots[:-1] + knots[1:])
-            part = knots[k] * x + 0.5 * (knots[k + 1] - knots[k]) * x * x
-            return mean[:k].sum() + part - mean[0]
+            x = (np.asarray(t) - begin) / period + 1.0
+            k = np.clip(np.floor(x).astype(int), 0, len(knots) - 2)
+            x = x - k
+            return whole[k] + knots[k] * x + 0.5 * (knots[k + 1] - knots[k]) * x * x
 
         first_pulse = int(rng.integers(0, 10_000))
         window = begin - 2e-3, begin + self.revolutions * period + 2e-3
@@ -93,18 +98,21 @@ class BeaconWorld:
         numbers = first_pulse + np.arange(-1, int((window[1] - window[0]) / p) + 3)
         pulses = self.sequence.times(numbers) - self.sequence.times(first_pulse) + window[0]
         pulses = pulses[(pulses >= window[0]) & (pulses <= window[1])]
-        zeros = [self._solve(lambda t, k=k: turns(t) - k, begin, k * period) for k in
-                 range(self.revolutions + 1)]  # fmt: skip
+        count = np.arange(self.revolutions + 1)
+        zeros = begin + count * period
+        zeros = _bisect(lambda t: turns(t) - count, zeros - 1e-3, zeros + 1e-3)
         events = [self._events(pulses, zeros, [], n, rng)]
-        for name, node in zip(self.names, self.nodes, strict=True):
-            planes = [[], []]
-            places = [] if name in self.blocked else [node]
+        places, owner = [], []
+        for i, (name, node) in enumerate(zip(self.names, self.nodes, strict=True)):
+            here = [] if name in self.blocked else [node]
             if name in self.reflections:
                 shift, keeps = self.reflections[name]
-                places = [node + shift] + (places if keeps else [])
-            for place in places:
-                for k in range(2):
-                    planes[k] += self._crossings(place, k, turns, begin, period)
+                here = [node + shift] + (here if keeps else [])
+            places += here
+            owner += [i] * len(here)
+        crossings = [self._crossings(np.array(places), k, turns, begin, period) for k in range(2)]
+        for i in range(len(self.names)):
+            planes = [[t for t, j in found if owner[j] == i] for found in crossings]
             events.append(self._events(pulses, *planes, n, rng))
         channel, kind, ticks = [], [], []
         for i, (times, kinds) in enumerate(events):
@@ -126,33 +134,33 @@ class BeaconWorld:
         kinds = np.repeat([SYNC, PLANE_1, PLANE_2], [len(t) for t in times])
         return np.concatenate(times), kinds
 
-    @staticmethod
-    def _solve(f, begin, guess):
-        low, high = begin + guess - 1e-3, begin + guess + 1e-3
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if f(middle) < 0 else (low, middle)
-        return 0.5 * (low + high)
-
-    def plane_side(self, node, k, turns, t):
-        """Distance of a node from plane k at time t, and how far it is before the fan."""
+    def plane_sides(self, nodes, k, turns, t):
+        """Distance of nodes from plane k at times t, and how far they are before the fan."""
         angle = 2 * np.pi * turns(t)
         h = self.head
         tilt, lead = ((h.phi_1, 0.0), (-h.phi_2, h.phi_r))[k]
-        trace = rot_z(angle + lead) @ np.array([1.0, 0, 0])
-        up = rot_z(angle + lead) @ np.array([0, np.cos(tilt), np.sin(tilt)])
-        p = apply(inverse(self.head_pose(t)), node)
-        return float(np.cross(trace, up) @ p), float(trace @ p)
+        c, s = np.cos(angle + lead), np.sin(angle + lead)
+        T = self.head_pose(t)
+        p = np.einsum("...ji,...j->...i", T[..., :3, :3], nodes - T[..., :3, 3])
+        along, across = c * p[..., 0] + s * p[..., 1], c * p[..., 1] - s * p[..., 0]
+        return np.cos(tilt) * p[..., 2] - np.sin(tilt) * across, along
 
-    def _crossings(self, node, k, turns, begin, period):
+    def _crossings(self, nodes, k, turns, begin, period):
+        """(time, index of the place) of every crossing of plane k."""
         grid = begin + period * np.linspace(-0.02, self.revolutions + 0.02, 40 * self.revolutions)
-        sides = [self.plane_side(node, k, turns, t) for t in grid]
-        found = []
-        for (a, fa), (b, fb), low, high in zip(sides, sides[1:], grid, grid[1:], strict=False):
-            if fa > 0 and fb > 0 and a * b < 0:
-                for _ in range(50):
-                    middle = 0.5 * (low + high)
-                    side = self.plane_side(node, k, turns, middle)[0]
-                    low, high = (middle, high) if side * a > 0 else (low, middle)
-                found.append(0.5 * (low + high))
-        return found
+        side, along = self.plane_sides(nodes[:, None], k, turns, grid)
+        ahead = (along[:, :-1] > 0) & (along[:, 1:] > 0)
+        i, j = np.nonzero(ahead & (side[:, :-1] * side[:, 1:] < 0))
+        sign = np.sign(side[i, j + 1])
+        times = _bisect(
+            lambda t: sign * self.plane_sides(nodes[i], k, turns, t)[0], grid[j], grid[j + 1]
+        )
+        return sorted(zip(times.tolist(), i.tolist(), strict=True))
+
+
+def _bisect(f, low, high):
+    for _ in range(46):
+        middle = 0.5 * (low + high)
+        below = f(middle) < 0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return 0.5 * (low + high)

@@ -28,7 +28,7 @@ from twin.stack.estimation.beacons.stamps import (
 
 MATCH = 0.2  # of the code's step by which a pulse may miss its place
 LEAST_PULSES = 5  # that must agree on the number: five bits of the code are unique
-MOST_DRIFT = 5e-4  # relative, of a counter's clock and of the spin against nominal, see `spin`
+MOST_DRIFT = 5e-4  # relative: five times the worst quartz; more is a wrong match
 GOOD, UNORDERED, UNMATCHED, SHORT = 0, 1, 2, 3
 
 

@@ -180,8 +180,8 @@ def _triples(ray_node, f, nodes):
     for a in range(k):
         for b in range(a + 1, k):
             for c in range(b + 1, k):
-                i, j, l = ray_node[a], ray_node[b], ray_node[c]
-                if i == j or j == l or i == l or collinear(nodes[i], nodes[j], nodes[l]):
+                i, j, h = ray_node[a], ray_node[b], ray_node[c]
+                if i == j or j == h or h == i or collinear(nodes[i], nodes[j], nodes[h]):
                     continue
                 triples[n, 0], triples[n, 1], triples[n, 2] = a, b, c
                 width[n] = abs(

@@ -81,11 +81,11 @@ class Locator:
     """
 
     survey: NodeSurvey
-    head: HeadParameters = HeadParameters()
+    head: HeadParameters = field(default_factory=HeadParameters)
     T_base_head: Array = field(default_factory=lambda: np.eye(4))
-    sequence: SyncSequence = SyncSequence()
-    counter: Counter = Counter()
-    noise: Noise = Noise()
+    sequence: SyncSequence = field(default_factory=SyncSequence)
+    counter: Counter = field(default_factory=Counter)
+    noise: Noise = field(default_factory=Noise)
     spin_rate: float = 30.0
     loosest: float = 0.03
 
@@ -135,7 +135,7 @@ class Locator:
         A, s = motion(twist, seen.time)
         still = bool(np.abs(twist).max() < STILL)
         data = nodes, sigma_node, seen.node, seen.plane, seen.theta, normals(self.head), A, s
-        R, p, cost, support, found, visible, triples = find_poses(*data, seen.covariance, still)
+        R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still)
         if visible < 3:
             return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
         if not triples:

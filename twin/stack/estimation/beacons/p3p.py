@@ -66,7 +66,7 @@ def p3p_checked(rays: Array, p_world: Array, axis: str = "ray") -> tuple[Array, 
             (Eq. 25), which knows no node near or behind the plane Y = 0.
 
     Returns:
-        R (n, 3, 3) and t (n, 3) of T_head_world, NaN where there is none; projection error psi (n,).
+        R (n, 3, 3) and t (n, 3) of T_head_world, NaN where there is none; error psi (n,) of Eq. 26.
     """
     rays = np.ascontiguousarray(np.reshape(rays, (-1, 4, 3)), dtype=np.float64)
     nodes = np.ascontiguousarray(np.reshape(p_world, (-1, 4, 3)), dtype=np.float64)
