@@ -6,6 +6,7 @@ surveyed walls. Half of the obstacles are of kinds or in places that one sensor 
 maps of both sensors and the fused one are scored against what was truly visible from the path.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +14,16 @@ import numpy as np
 from evaluation.ape import pose_errors
 from evaluation.map_truth import map_truth
 from evaluation.maps import map_metrics, write_pictures
-from evaluation.run import Criterion, RunRequest, RunResult
+from evaluation.run import Criterion, RunRequest, RunResult, Trajectory
 from evaluation.simulation import Simulation
-from twin.geometry import Array, inverse, rot_z, transform
+from twin.geometry import Array, compose2, inverse, rot_z, transform
 from twin.layout import Layout, Obstacle
 from twin.loop import Tick
-from twin.messages import Goal, MapOrder
+from twin.messages import Goal, LidarScan, MapOrder
 from twin.plant.plant import Plant
 from twin.stack.config import StackConfig, nominal_config
 from twin.stack.estimation.extrinsic_calibration import rotation_exp
+from twin.stack.estimation.mapper import Mapper, MapperSettings
 from twin.stack.estimation.vehicle_calibration import Calibration, save_calibration
 
 LONGEST = 420.0  # s of simulated time after which the run is given up
@@ -98,13 +100,15 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     layout = with_obstacles(layout, rng)
     config = with_wrong_camera(nominal_config(layout.site, layout.options), rng)
     order = MapOrder(0.0, tuple(Goal(name, pose) for name, pose in ROUTE))
-    with Simulation(request, layout, order, config=config) as sim:
+    free = FreeMapper(config)
+    with Simulation(request, layout, order, (free,), config) as sim:
+        free.odometry = sim.stack.localiser.fused.history.at
 
         def over(tick: Tick) -> bool:
             return sim.stack.done
 
         complete = sim.run(LONGEST, over)
-        figures, notes = metrics(sim, layout, request), events(sim)
+        figures, notes = metrics(sim, layout, request, free), events(sim)
         return sim.result(figures, CRITERIA, complete, notes)
 
 
@@ -134,7 +138,30 @@ def with_wrong_camera(config: StackConfig, rng: np.random.Generator) -> StackCon
     return replace(config, rgbd=replace(config.rgbd, T_base_camera=T @ off))
 
 
-def metrics(sim: Simulation, layout: Layout, request: RunRequest) -> dict[str, float]:
+class FreeMapper:
+    """A second mapper beside the stack's, without the surveyed walls: for comparison alone."""
+
+    def __init__(self, config: StackConfig):
+        self.mapper = Mapper(config, settings=MapperSettings(surveyed=False))
+        self.odometry: Callable[[float], Array | None] = lambda stamp: None
+        self._stamps: list[float] = []
+        self._poses: list[Array] = []
+
+    def observe(self, tick: Tick) -> None:
+        for reading in tick.readings:
+            if isinstance(reading, LidarScan):
+                self.mapper.hear(reading, self.odometry(reading.stamp))
+        self._stamps.append(tick.stamp)
+        self._poses.append(compose2(self.mapper.world_from_odom, tick.state.fused_pose))
+
+    def path(self) -> Trajectory:
+        """Stamps (n,) and poses (n, 3) in world."""
+        return np.array(self._stamps), np.array(self._poses).reshape(-1, 3)
+
+
+def metrics(
+    sim: Simulation, layout: Layout, request: RunRequest, free: FreeMapper
+) -> dict[str, float]:
     """All figures of the report; maps, calibration and pictures go into the run's folder."""
     tracks, mapper = sim.paths.trajectories(), sim.stack.mapper
     figures: dict[str, float] = {}
@@ -162,6 +189,7 @@ def metrics(sim: Simulation, layout: Layout, request: RunRequest) -> dict[str, f
         "slam_ape_rmse_m": slam.rmse,
         "slam_ape_max_m": slam.maximum,
         "slam_yaw_rmse_deg": slam.yaw_rmse_deg,
+        "slam_free_ape_rmse_m": pose_errors(tracks["truth"], free.path()).rmse,
         "odometry_fused_ape_rmse_m": pose_errors(tracks["truth"], tracks["fused"]).rmse,
         "odometry_ape_rmse_m": pose_errors(tracks["truth"], tracks["odometry"]).rmse,
         "goals_reached": float(np.mean(reached)) if reached else float("nan"),

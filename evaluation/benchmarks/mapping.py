@@ -23,17 +23,20 @@ from twin.stack.estimation.occupancy_grid import OccupancyGrid, SensorModel
 from twin.stack.estimation.pose_graph import Edge, PoseGraph, edge_error, edge_jacobians
 from twin.stack.estimation.scan_matching import match_scan
 from twin.stack.estimation.scans import beam_angles, beam_points
+from twin.stack.estimation.slam import compose_points
+from twin.stack.estimation.surfaces import SurfaceMap
 
-HALL = ((-7.02, -5.03), (6.98, 4.97))  # m: every beam returns, 7.4 m in the mean
+HALL = ((-8.12, -4.78), (8.08, 4.72))  # m, as large as the drawn plant: every beam returns
+BIG = ((-19.5, -14.5), (19.5, 14.5))
 POSE = np.array([1.0, 0.5, 0.3])
 MODEL = SensorModel()
 
 
-def hall_scan(rng: np.random.Generator) -> LidarScan:
-    """Scan of an empty hall of 14 x 10 m by the vehicle's lidar: 1081 beams over 270 degrees."""
+def hall_scan(rng: np.random.Generator, hall=HALL) -> LidarScan:
+    """Scan of an empty hall by the vehicle's lidar: 1081 beams over 270 degrees."""
     first, step = -np.radians(135.0), np.radians(0.25)
     angle = first + step * np.arange(1081) + POSE[2]
-    (x0, y0), (x1, y1) = HALL
+    (x0, y0), (x1, y1) = hall
     x = np.where(np.cos(angle) > 0, x1 - POSE[0], x0 - POSE[0]) / np.cos(angle)
     y = np.where(np.sin(angle) > 0, y1 - POSE[1], y0 - POSE[1]) / np.sin(angle)
     return LidarScan(0.0, first, step, np.minimum(x, y) + rng.normal(0, 0.01, 1081), 30.0)
@@ -92,6 +95,15 @@ def numpy_search(field: LikelihoodField, points, guess):
     return found
 
 
+def numpy_nearest(field) -> np.ndarray:
+    """Distance of every cell from every surface, a row of cells at a time."""
+    h, w = field.distances.shape
+    x = field.origin[0] + (np.arange(w) + 0.5) * field.resolution
+    y = field.origin[1] + (np.arange(h) + 0.5) * field.resolution
+    sx, sy = field.surfaces[:, 0], field.surfaces[:, 1]
+    return np.array([np.hypot(x[:, None] - sx, v - sy).min(axis=1) for v in y])
+
+
 def numpy_step(graph: PoseGraph) -> np.ndarray:
     """One Gauss-Newton step with the full matrix."""
     n = len(graph.poses)
@@ -133,7 +145,7 @@ def main() -> None:
         table.add_row(job, f"{a:.3f}", f"{b:.3f}", f"{b / a:.1f}", agreement)
 
     scan = hall_scan(rng)
-    ours, theirs = (OccupancyGrid.covering((-8, -6), (8, 6), 0.05) for _ in range(2))
+    ours, theirs = (OccupancyGrid.covering((-8.6, -5.3), (8.6, 5.3), 0.05) for _ in range(2))
     for _ in range(4):
         ours.insert_scan(scan, POSE, MODEL)
         numpy_insert(theirs, scan)
@@ -145,6 +157,16 @@ def main() -> None:
         f"{same:.1%} of cells",
     )
 
+    big, far = OccupancyGrid.covering((-20, -15), (20, 15), 0.05), hall_scan(rng, BIG)
+    few = OccupancyGrid.covering((-20, -15), (20, 15), 0.05)
+    row(
+        "the same in a hall of 40 x 30 m",
+        lambda: big.insert_scan(far, POSE, MODEL),
+        lambda: numpy_insert(few, far),
+        "",
+        fewer=True,
+    )
+
     layout = load_layout()
     camera, band = nominal_config(layout.site, layout.options).rgbd, HeightBand()
     v = np.arange(camera.height)[:, None] - camera.matrix[1, 2]
@@ -153,7 +175,7 @@ def main() -> None:
     depth = depth + 0.004 * depth**2 * rng.standard_normal(depth.shape)
     picture = RgbdFrame(0.0, np.zeros((*depth.shape, 3), np.uint8), (1e3 * depth).astype(np.uint16))
     convert = DepthToScan(camera, band)
-    grid = OccupancyGrid.covering((-8, -6), (8, 6), 0.05)
+    grid = OccupancyGrid.covering((-8.6, -5.3), (8.6, 5.3), 0.05)
     model = SensorModel(max_range=3.0, blind=convert.blind)
 
     def picture_into_grid():
@@ -184,6 +206,26 @@ def main() -> None:
         lambda: match_scan(field, points, guess),
         lambda: numpy_search(field, points[::6], guess),
         f"{apart:.0f} mm apart, lattice of 50 mm",
+    )
+    surfaces = SurfaceMap(ours.origin, ours.resolution, ours.shape)
+    for _ in range(4):  # other scans than the one that is matched
+        surfaces.add(compose_points(POSE, beam_points(hall_scan(rng))))
+    fine = surfaces.field(0.5)
+    found = match_scan(fine, points, guess)
+    assert found is not None
+    off_cells, off_fine = (1e3 * np.hypot(*(m.pose - POSE)[:2]) for m in (match, found))
+    row(
+        "scan to surfaces, search and refinement (NumPy: search alone)",
+        lambda: match_scan(fine, points, guess),
+        lambda: numpy_search(field, points[::6], guess),
+        f"{off_fine:.0f} mm off the truth, {off_cells:.0f} by cells",
+    )
+    row(
+        "nearest surfaces of all cells (NumPy: of each cell, one after the other)",
+        lambda: surfaces.field(0.5, ours.occupied),
+        lambda: numpy_nearest(fine),
+        "",
+        fewer=True,
     )
     row(
         "scan to map, refinement alone",
