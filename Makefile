@@ -26,8 +26,9 @@ lint: $(VENV)/.dev  ## Style, types, layers
 bench: $(VENV)/.runtime  ## Time of each part of the loop
 	$(BIN)/python -m evaluation.benchmarks.loop
 
-docs: $(VENV)/.runtime  ## Draw the README's figure of the frames
+docs: $(VENV)/.runtime  ## Draw the figures of the README
 	$(BIN)/python docs/frames.py
+	$(BIN)/python docs/plant.py
 
 $(VENV)/bin/python:
 	PYTHON=$(PYTHON) .ci/system
