@@ -196,3 +196,15 @@ def test_heaviest_of_two_clusters():
     mean, covariance = mean_and_covariance(poses[inside], weights[inside])
     assert abs(abs(mean[2]) - np.pi) < 0.02 and np.hypot(*(mean[:2] - 1)) < 0.02
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 0.05, rtol=0.15)
+
+
+def test_recovery_takes_as_many_particles_as_its_places_ask_for():
+    """Carried off, the cloud grows with the bins that it fills, and shrinks once it is found."""
+    amcl = make(1)
+    here = drive()[:30]
+    amcl.initialise(here[0], START)
+    _, settled = follow(amcl, here, 1)
+    there = drive(LOOP[::-1], start=1)[85:125]
+    _, counts = follow(amcl, there, 51)
+    assert counts.max() > 1.4 * settled[-1] and counts[-1] < counts.max()
+    assert counts.max() <= amcl.settings.kld.most

