@@ -10,6 +10,7 @@ from twin.geometry import between2, compose2
 from twin.messages import LidarScan
 from twin.stack.estimation.amcl import Amcl, AmclSettings
 from twin.stack.estimation.clusters import heaviest, mean_and_covariance
+from twin.stack.estimation.kld import count_bins
 from twin.stack.estimation.motion_models import turn_path_turn
 
 FIELD, FREE = world_field(), free_cells()
@@ -199,12 +200,15 @@ def test_heaviest_of_two_clusters():
 
 
 def test_recovery_takes_as_many_particles_as_its_places_ask_for():
-    """Carried off, the cloud grows with the bins that it fills, and shrinks once it is found."""
+    """A scan of few beams fits in many places, and their bins ask for a larger cloud."""
     amcl = make(1)
-    here = drive()[:30]
-    amcl.initialise(here[0], START)
-    _, settled = follow(amcl, here, 1)
-    there = drive(LOOP[::-1], start=1)[85:125]
-    _, counts = follow(amcl, there, 51)
-    assert counts.max() > 1.4 * settled[-1] and counts[-1] < counts.max()
-    assert counts.max() <= amcl.settings.kld.most
+    amcl.initialise(drive()[0], 1e-4 * START)
+    assert len(amcl.particles) == amcl.settings.kld.least
+    scan = scan_at(drive()[40], np.random.default_rng(0), 1.0)
+    few = np.where(np.arange(len(scan.ranges)) % 120 == 0, scan.ranges, np.nan)
+    points, silent = amcl.likelihood.choose(replace(scan, ranges=few), MOUNT)
+    cloud = amcl._mixed(500, 0.7, points, silent)
+    kld = amcl.settings.kld
+    assert len(cloud) > 1000 and kld.count(count_bins(cloud, kld.bin_size)) <= len(cloud)
+    all_beams = amcl._mixed(500, 0.7, *amcl.likelihood.choose(scan, MOUNT))
+    assert len(all_beams) < len(cloud)

@@ -55,7 +55,7 @@ def test_a_drifting_odometry_is_held_within_what_the_filter_says():
             truth = compose2(truth, step)
             odometry = compose2(odometry, step + rng.normal(0, PATH * np.sqrt(0.1)))
             filter_.carry(odometry, np.zeros((3, 3)))
-            assert filter_.update(truth + rng.normal(0, sigma), np.diag(sigma**2))
+            filter_.update(truth + rng.normal(0, sigma), np.diag(sigma**2))  # one in 1000 is gated
         off = filter_.pose - truth
         nees.append(off @ np.linalg.solve(filter_.covariance, off) / 3)
         np.testing.assert_allclose(
