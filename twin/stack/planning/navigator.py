@@ -203,13 +203,17 @@ class Navigator:
             return BodyVelocity()
         if self._cancelled:
             return self._coming_to_rest(pose)
+        if self._giving_up:
+            if np.abs(velocity).max() < self.options.still:
+                self._end(self._giving_up)
+            return BodyVelocity()
         if self.recovery.active:
             return self._recover(now, pose)
         if self._fresh:
             self._fresh = False
             self._look_ahead(now)
             self._watch_progress(now, pose)
-            if not self.active or self.recovery.active:
+            if self._giving_up or self.recovery.active:
                 return BodyVelocity()
         if self._brake and self.follower.stopped and self.follower.rate == 0.0:
             self.follower.stop()
@@ -373,7 +377,7 @@ class Navigator:
         self.events.append(f"stuck: {reason}")
         self._progress = (now, math.inf)
         if self.recoveries > self.options.recoveries:
-            self._end(f"given up: {reason} (recovered {self.recoveries - 1} times before)")
+            self._giving_up = f"given up: {reason} (recovered {self.recoveries - 1} times before)"
         else:
             self.recovery.start(now, pose, reason)
 
@@ -409,7 +413,7 @@ class Navigator:
             self._blocked_since = now  # or it would start recovery again
             self._recovered = self._plan(now, pose, np.zeros(3))
         if step.stage is Stage.GIVEN_UP:
-            self._end(self.recovery.reason)
+            self._giving_up = self.recovery.reason
         if step.stage is Stage.RECOVERED:
             self._blocked_since = None
         return step.velocity
@@ -448,7 +452,7 @@ class Navigator:
         self._fresh, self._stale_costs, self._tries = False, True, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
-        self._cancelled = False
+        self._cancelled, self._giving_up = False, ""
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()

@@ -26,6 +26,8 @@ SIDEWAYS, BLIND = 1.5, 3.0
 AHEAD, ABEAM = math.radians(50.0), math.radians(125.0)  # half the fields of view of both, in part
 TOUCH = 1000.0  # s that a metre too little of room counts: as good as closed
 TIGHT = 0.04  # m of room that a heading should leave
+# Ahead or reversed, and m along the path after which the heading begins to turn into it.
+MODES = ((0.0, 0.0), (0.0, 0.4), (0.0, 0.8), (0.0, 1.4), (0.0, 2.4), (math.pi, 0.0))
 PASSES = 50
 FEWEST = 21  # points of a reference: turning on the spot has a profile too
 LEAN = 0.9  # of the limits that a first band uses
@@ -79,14 +81,16 @@ def headings(
     along = np.append(along, along[-1])
     best, least = plain, _price(points, plain, limits)
     least += TOUCH * _tightness(points, plain, half, obstacles, TIGHT)
-    for turned in (0.0, math.pi):
+    blend = min(BLEND, 0.4 * s[-1])
+    out = np.clip((s[-1] - s) / blend, 0.0, 1.0)
+    for turned, pivot in MODES:
+        if pivot > s[-1] - 2 * blend and pivot > 0:
+            continue
         yaw = along + turned
         yaw = yaw + 2 * math.pi * round((start - yaw[0]) / (2 * math.pi))
         end = yaw[-1] + wrap_angle(goal - yaw[-1])
-        blend = min(BLEND, 0.4 * s[-1])
         yaw = smoothed(yaw[:, None], PASSES)[:, 0]  # corners of the path turn early
-        into = np.clip(s / blend, 0.0, 1.0)
-        out = np.clip((s[-1] - s) / blend, 0.0, 1.0)
+        into = np.clip((s - pivot) / blend, 0.0, 1.0)
         yaw = start + into * (yaw - start)
         yaw = end + out * (yaw - end)
         cost = _price(points, yaw, limits)
