@@ -29,9 +29,10 @@ from twin.stack.estimation.vehicle_calibration import Calibration, save_calibrat
 LONGEST = 420.0  # s of simulated time after which the run is given up
 WRONG_SHIFT, WRONG_TURN = 0.030, np.radians(2.0)  # by which the camera's drawing is wrong
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
+NORTH_EAST, NORTH_WEST = np.pi / 4, 3 * np.pi / 4
 # Past everything: west of the belt, through the door to goods-in, then aisle by aisle from north
-# to south; the cross aisle W is met again at each. Into an aisle it looks along it from the start:
-# turning on the way, it would pass the first metres of shelf unseen.
+# to south; the cross aisle W is met again at each. Before an aisle it looks at the shelves on both
+# sides of its mouth: turning on the way, it would pass their first metre unseen.
 ROUTE = (
     ("belt west", (2.4, 1.6, NORTH)),
     ("belt north-west", (2.4, 4.5, NORTH)),
@@ -39,6 +40,7 @@ ROUTE = (
     ("G0", (5.2, 6.9, EAST)),
     ("W4", (7.35, 7.45, EAST)),
     ("W3", (7.10, 5.75, SOUTH)),
+    ("W3 north-east", (7.10, 5.75, NORTH_EAST)),
     ("W3 east", (7.10, 5.75, EAST)),
     ("M3", (11.0, 5.75, EAST)),
     ("M4 west", (11.0, 7.4, WEST)),
@@ -46,12 +48,15 @@ ROUTE = (
     ("E3", (14.55, 5.75, EAST)),
     ("E3 north", (14.55, 5.9, NORTH)),
     ("E2", (14.65, 3.65, SOUTH)),
+    ("E2 north-west", (14.65, 3.65, NORTH_WEST)),
     ("E2 west", (14.65, 3.65, WEST)),
     ("W2", (7.35, 3.65, WEST)),
     ("W1", (7.10, 1.55, SOUTH)),
+    ("W1 north-east", (7.10, 1.55, NORTH_EAST)),
     ("W1 east", (7.10, 1.55, EAST)),
     ("E1", (14.55, 1.55, EAST)),
     ("E0", (14.65, -0.65, SOUTH)),
+    ("E0 north-west", (14.65, -0.65, NORTH_WEST)),
     ("E0 west", (14.65, -0.65, WEST)),
     ("W0", (7.35, -0.65, WEST)),
     ("C0", (5.65, -0.65, WEST)),
