@@ -1,5 +1,7 @@
 """Depth camera against lidar: the source's angles, and the calibration on made-up drives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flat_world import box, floor, picture, scan, upright
@@ -24,7 +26,7 @@ from twin.stack.estimation.extrinsic_calibration import (
     rotation_exp,
     rotation_xyz,
 )
-from twin.stack.estimation.wall_pairs import observe_walls, wall_lines
+from twin.stack.estimation.wall_pairs import _incidence, observe_walls, wall_lines
 
 ANGLE = st.floats(-3.1, 3.1)
 T_BASE_LIDAR = transform(np.eye(3), (0.30, 0.0, 0.18))
@@ -106,7 +108,6 @@ def test_recovered_from_a_drive(seed):
 
 def test_motion_between_scan_and_picture_is_undone():
     """A wall seen 0.2 m farther on and turned has its normal and offset in the later frame."""
-    rng = np.random.default_rng(3)
     scan_, pose = scan(ROOM, (0.3, 0.0, 0.0)), np.array([0.2, 0.05, 0.1])
     frame = picture(PLANES, CAMERA, CAMERA.T_base_camera, pose)
     seen = observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, T_DRAWN, pose)
@@ -175,3 +176,36 @@ def test_lines_of_a_room():
     assert len(found) == 3
     np.testing.assert_allclose(found, expected, atol=0.6)
     np.testing.assert_allclose([d for _, d in found], [d for _, d in expected], atol=0.006)
+
+
+def test_constant_error_of_range_is_told_from_a_shift_of_the_camera():
+    """Opposite walls read 12 mm too far move apart; a shift moves both alike."""
+    rng = np.random.default_rng(4)
+    true, offset = perturbed(rng), 0.012
+    walls = [((0, 1, 0), 1.5), ((0, -1, 0), 1.2), ((1, 0, 0), 2.0)]
+    seen = [plane((0, 0, 1), -0.18, rng, true)]
+    for normal, d in walls:
+        exact = plane(normal, d, rng, true)
+        seen.append(replace(exact, offset=d + offset, bias=1.0))
+    found = calibrate(seen, T_DRAWN, range_sigma=1.0)
+    assert found.range_offset == pytest.approx(offset, abs=1e-5)
+    np.testing.assert_allclose(found.T_lidar_rgbd, true, atol=2e-5)
+    blind = calibrate(seen, T_DRAWN)
+    assert blind.range_offset == 0.0 and errors(blind.T_lidar_rgbd, true)[0] > 0.005
+
+
+def test_lidar_that_is_believed_exact_is_left_exact():
+    rng = np.random.default_rng(5)
+    true = perturbed(rng)
+    seen = [plane(n, d, rng, true) for n, d in (((1, 0, 0), 2.0), ((0, 1, 0), 0.5))]
+    seen = [replace(s, offset=s.offset + 0.01, bias=1.0) for s in seen]
+    seen.append(plane((0, 0, 1), -0.18, rng, true))
+    found = calibrate(seen, T_DRAWN, range_sigma=1e-6)
+    assert abs(found.range_offset) < 1e-6
+
+
+def test_incidence_by_hand():
+    """Beams over a wall from straight ahead to 45 degrees: mean cosine sin(45) / (pi / 4)."""
+    n, a, b = np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.array([2.0, 2.0])
+    assert _incidence(n, a, b) == pytest.approx(np.sqrt(0.5) / (np.pi / 4))
+    assert _incidence(n, a, a) == pytest.approx(1.0)
