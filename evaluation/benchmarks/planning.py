@@ -100,8 +100,9 @@ def search_benchmark(repeats: int, maps: int = 5) -> dict[str, float]:
         weight = astar.weights(costmap, ends[0], 3.0, False, 0.0)
 
         def ours(table, diagonal: float, ends=ends):
-            cost, parents = astar.search(table, *ends[0], *ends[1], diagonal)
-            astar.trace(parents, *ends, SIZE)
+            start, goal = ends
+            cost, parents = astar.search(table, start[0], start[1], goal[0], goal[1], diagonal)
+            astar.trace(parents, start, goal, SIZE)
             return cost
 
         if peer is None:

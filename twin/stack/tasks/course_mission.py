@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from twin.messages import CourseOrder
 from twin.stack.tasks.mission import Behaviour, sequence
 
 if TYPE_CHECKING:
@@ -10,4 +11,6 @@ if TYPE_CHECKING:
 
 def course_mission(stack: "Stack") -> Behaviour:
     """From way-point to way-point of the order, on the localised pose, with a stop at each."""
-    return sequence("course", stack.straight("drive the course", *stack.order.route))
+    order = stack.order
+    assert isinstance(order, CourseOrder)
+    return sequence("course", stack.straight("drive the course", *order.route))
