@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from twin.geometry import apply, inverse, rot_x, rot_y, rot_z, rotation_from_quat, transform
 from twin.stack.estimation.beacons.p3p import (
-    DANGER,
+    conditioning,
     p3p,
     p3p_checked,
     triple_fault,
@@ -28,18 +28,6 @@ def random_case(seed, n=4):
     away = rng.standard_normal(3)
     origin = away / np.linalg.norm(away) * rng.uniform(0.5, 6.0)
     return rng.uniform(-1, 1, (n, 3)), transform(R, -R @ origin)
-
-
-def conditioning(p_head):
-    """Determinant of Eq. 9 by the distances, rows of length one: 0 on the danger cylinder."""
-    d = np.linalg.norm(p_head, axis=1)
-    f = p_head / d[:, None]
-    rows = []
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        row, c = np.zeros(3), f[i] @ f[j]
-        row[i], row[j] = d[i] - d[j] * c, d[j] - d[i] * c
-        rows.append(row / np.linalg.norm(row))
-    return abs(np.linalg.det(rows))
 
 
 @first_compiles
@@ -73,7 +61,7 @@ def test_eqs_11_to_13_by_hand():
     Expected result: d1 = 1, d2 = 2, d3 = 3 solves Eq. 9 with squared sides 5, 10, 13, alone.
     """
     out = np.empty((4, 4))
-    assert distances(0.0, 0.0, 0.0, 5.0, 10.0, 13.0, out, np.empty(4)) == 1
+    assert distances(0.0, 0.0, 0.0, 5.0, 10.0, 13.0, 0.0, out, np.empty(4)) == 1
     assert out[0, :3] == pytest.approx([1, 2, 3])
     # Eq. 12 as corrected, at that solution.
     x, y, v, w = 1 / 3, 2 / 3, 13 / 5, 10 / 5
@@ -86,7 +74,7 @@ def test_eqs_11_to_13_by_hand():
 def test_p3p_finds_the_truth(seed):
     p_world, T = random_case(seed)
     p_head = apply(T, p_world)
-    assume(conditioning(p_head[:3]) > DANGER and triple_fault(p_world[:3]) is None)
+    assume(conditioning(p_head[:3]) > 1e-3 and triple_fault(p_world[:3]) is None)
     found = p3p(p_head[:3], p_world[:3])
     n = int(found.count[0])
     assert 1 <= n <= 4
@@ -230,4 +218,10 @@ def test_danger_cylinder_shows_in_the_conditioning():
         origin = np.array([radius, 0.0, 3.0])
         assert (conditioning(p_world - origin) < 1e-9) == low
     near = p3p(p_world - [1.0, 0.0, 3.0 + 1e-3], p_world)
-    assert np.nanmin(near.conditioning) < DANGER
+    assert np.nanmin(near.conditioning) < 1e-2
+    # That of the solver and that of the points are one.
+    p_world, T = random_case(1, 3)
+    p_head = apply(T, p_world)
+    found = p3p(p_head, p_world)
+    off = np.abs(found.distances[0] - np.linalg.norm(p_head, axis=1)).sum(axis=1)
+    assert found.conditioning[0, np.nanargmin(off)] == pytest.approx(conditioning(p_head))

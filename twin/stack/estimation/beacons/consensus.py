@@ -15,6 +15,7 @@ from twin.stack.estimation.beacons.refine import least_squares, linearise
 
 CUT = 4.0  # sigmas beyond which a crossing is an outlier
 LOOSE = 25.0  # sigmas allowed before polishing: a triple's noise grows towards the other nodes
+SLACK = 1e-4  # of `quartic.distances`: noise on the danger cylinder is polished away here
 KEPT = 6  # poses with different supports that are handed back
 MOST_TRIPLES = 120  # of ten nodes; more nodes are no likelier to be all wrong
 
@@ -51,6 +52,7 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
     for i in range(m):
         sigma[i] = np.sqrt(covariance[i, i])
     loose, cut = np.float64(LOOSE), np.float64(CUT)
+    slack = np.float64(SLACK)
     polish = np.int64(4)  # steps
     wanted = 0  # node and plane pairs with a crossing
     for i in range(m):
@@ -66,7 +68,7 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
             for b in range(3):
                 F[a, b], P[a, b] = f[triple[a], b], nodes[ray_node[triple[a]], b]
             six[2 * a], six[2 * a + 1] = ray_rows[triple[a], 0], ray_rows[triple[a], 1]
-        for k in range(solve_triple(F, P, R, t, d, roots, work, H)):
+        for k in range(solve_triple(F, P, slack, R, t, d, roots, work, H)):
             for a in range(3):
                 pw[a] = -(R[k, 0, a] * t[k, 0] + R[k, 1, a] * t[k, 1] + R[k, 2, a] * t[k, 2])
                 for b in range(3):

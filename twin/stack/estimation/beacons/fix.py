@@ -21,7 +21,7 @@ from twin.stack.estimation.beacons.angles import (
 )
 from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
 from twin.stack.estimation.beacons.consensus import find_poses
-from twin.stack.estimation.beacons.p3p import DANGER, p3p, p3p_checked, triple_fault
+from twin.stack.estimation.beacons.p3p import DANGER, conditioning, p3p_checked, triple_fault
 from twin.stack.estimation.beacons.refine import head_twist, motion
 from twin.stack.estimation.beacons.settle import Settled, settle
 from twin.stack.estimation.beacons.stamps import (
@@ -171,13 +171,9 @@ class Locator:
 
     def _loose(self, settled: Settled, nodes: Array, sigma: float) -> NoFix:
         """Why the position is loose: the head near the cylinder through the nodes, or not."""
-        best = 0.0
-        for k in range(len(nodes) - 2):
-            three = nodes[k : k + 3]
-            if triple_fault(three) is None:
-                seen = p3p((three - settled.p) @ settled.R, three)
-                best = max(best, float(np.nanmax(seen.conditioning, initial=0.0)))
-        reason: Reason = "danger cylinder" if best < 30 * DANGER else "loose geometry"
+        triples = [nodes[k : k + 3] for k in range(len(nodes) - 2)]
+        best = max(conditioning((three - settled.p) @ settled.R) for three in triples)
+        reason: Reason = "danger cylinder" if best < DANGER else "loose geometry"
         return NoFix(reason, f"position known to {sigma:.3f} m, wanted {self.loosest} m")
 
     def source_fix(self, stamps: StampBatch, four: tuple[str, str, str, str]) -> Array | NoFix:
@@ -217,6 +213,8 @@ class Locator:
         R, t, psi = p3p_checked(directions, nodes)
         if not np.isfinite(psi[0]):
             return NoFix("no solution", "no pose with the fourth node ahead")
+        if conditioning(nodes[:3] @ R[0].T + t[0]) < DANGER:
+            return NoFix("danger cylinder", "the head stands on the cylinder through three nodes")
         return inverse(transform(R[0], t[0]))
 
     def _four_fault(self, stamps: StampBatch, four: tuple[str, ...]) -> NoFix | None:

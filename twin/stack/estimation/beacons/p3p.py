@@ -16,7 +16,24 @@ from twin.stack.estimation.beacons.small import copy_to
 from twin.stack.estimation.beacons.stamps import NoFix
 
 COLLINEAR = 0.02  # sine of the angle between two sides below which three nodes are a line
-DANGER = 1e-3  # conditioning below which the distances are undetermined, see `quartic.distances`
+# Conditioning below which noise swamps the distances: 35 mm of scatter at 50 microradians and 3 m.
+DANGER = 0.02
+
+
+def conditioning(p_head: Array) -> float:
+    """Determinant of Eq. 9 by the distances, rows of length one: 0 on the danger cylinder.
+
+    Args:
+        p_head: three nodes in head, m. Shape (3, 3).
+    """
+    d = np.linalg.norm(p_head, axis=1)
+    f = p_head / d[:, None]
+    rows = np.zeros((3, 3))
+    for row, (i, j) in zip(rows, ((0, 1), (0, 2), (1, 2)), strict=True):
+        cosine = f[i] @ f[j]
+        row[i], row[j] = d[i] - d[j] * cosine, d[j] - d[i] * cosine
+        row /= max(float(np.linalg.norm(row)), 1e-300)
+    return abs(float(np.linalg.det(rows)))
 
 
 @dataclass(frozen=True)
@@ -87,8 +104,11 @@ def triple_fault(p_world: Array) -> NoFix | None:
 
 
 @njit(cache=True)
-def solve_triple(f, P, R, t, d, roots, work, H):
-    """One problem: unit rays f (3, 3), nodes P (3, 3); fills R (4, 3, 3), t (4, 3), d (4, 4)."""
+def solve_triple(f, P, slack, R, t, d, roots, work, H):
+    """One problem: unit rays f (3, 3), nodes P (3, 3); fills R (4, 3, 3), t (4, 3), d (4, 4).
+
+    For `slack` see `quartic.distances`; 0 for none.
+    """
     c12 = f[0, 0] * f[1, 0] + f[0, 1] * f[1, 1] + f[0, 2] * f[1, 2]
     c13 = f[0, 0] * f[2, 0] + f[0, 1] * f[2, 1] + f[0, 2] * f[2, 2]
     c23 = f[1, 0] * f[2, 0] + f[1, 1] * f[2, 1] + f[1, 2] * f[2, 2]
@@ -97,7 +117,7 @@ def solve_triple(f, P, R, t, d, roots, work, H):
     s23 = (P[1, 0] - P[2, 0]) ** 2 + (P[1, 1] - P[2, 1]) ** 2 + (P[1, 2] - P[2, 2]) ** 2
     if not min(s12, s13, s23) > 0.0:
         return 0
-    count = distances(c12, c13, c23, s12, s13, s23, d, roots)
+    count = distances(c12, c13, c23, s12, s13, s23, slack, d, roots)
     px = (P[0, 0] + P[1, 0] + P[2, 0]) / 3.0
     py = (P[0, 1] + P[1, 1] + P[2, 1]) / 3.0
     pz = (P[0, 2] + P[1, 2] + P[2, 2]) / 3.0
@@ -143,12 +163,13 @@ def _batch(rays, nodes):
     count = np.zeros(total, dtype=np.int64)
     R_all, t_all = np.full((total, 4, 3, 3), np.nan), np.full((total, 4, 3), np.nan)
     d_all, cond = np.full((total, 4, 3), np.nan), np.full((total, 4), np.nan)
+    slack = 0.0
     f, d, roots = np.empty((3, 3)), np.empty((4, 4)), np.empty(4)
     work, H = np.empty((2, 3, 3)), np.empty((3, 3))
     for n in range(total):
         _unit(rays, n, f, 3)
         P = nodes[n if len(nodes) > 1 else 0]
-        count[n] = solve_triple(f, P, R_all[n], t_all[n], d, roots, work, H)
+        count[n] = solve_triple(f, P, slack, R_all[n], t_all[n], d, roots, work, H)
         for k in range(count[n]):
             for i in range(3):
                 d_all[n, k, i] = d[k, i]
@@ -175,13 +196,14 @@ def _checked(rays, nodes, along_y):
     total = len(rays)
     R_best, t_best = np.full((total, 3, 3), np.nan), np.full((total, 3), np.nan)
     psi_best = np.full(total, np.inf)
+    slack = 0.0
     f, d, roots, p = np.empty((4, 3)), np.empty((4, 4)), np.empty(4), np.empty(3)
     R, t = np.empty((4, 3, 3)), np.empty((4, 3))
     work, H = np.empty((2, 3, 3)), np.empty((3, 3))
     for n in range(total):
         _unit(rays, n, f, 4)
         P = nodes[n if len(nodes) > 1 else 0]
-        for k in range(solve_triple(f[:3], P[:3], R, t, d, roots, work, H)):
+        for k in range(solve_triple(f[:3], P[:3], slack, R, t, d, roots, work, H)):
             for i in range(3):  # Eq. 24
                 p[i] = R[k, i, 0] * P[3, 0] + R[k, i, 1] * P[3, 1] + R[k, i, 2] * P[3, 2] + t[k, i]
             psi = virtual_plane_error(f[3], p, along_y)

@@ -76,7 +76,7 @@ def _quadratic(b, c, shift, scale, out, n):
 
 
 @njit(cache=True)
-def distances(c12, c13, c23, s12, s13, s23, out, roots):
+def distances(c12, c13, c23, s12, s13, s23, slack, out, roots):
     """All positive distances that obey the cosine rule (Eq. 9); returns how many, at most four.
 
     With x = d1/d3, y = d2/d3, v = s23/s12, w = s13/s12 (Eq. 11; the print's v and w are garbled)
@@ -92,6 +92,8 @@ def distances(c12, c13, c23, s12, s13, s23, out, roots):
     Args:
         c12, c13, c23: cosines between the rays.
         s12, s13, s23: squared distances between the nodes, m^2.
+        slack: error of Eq. 9 over the squared sides that still is a solution. Noise near the danger
+            cylinder can leave two real solutions none: with some slack their middle is given.
         out: distances and conditioning of each solution. Shape (4, 4): d1, d2, d3, and the
             determinant of the three equations by the distances, rows of length one; 0 on the
             danger cylinder.
@@ -100,18 +102,18 @@ def distances(c12, c13, c23, s12, s13, s23, out, roots):
     n = np.int64(0)
     for order in range(3):  # the nodes change places where a leading coefficient fails
         if order == 0:
-            n, good = _solve(c12, c13, c23, s12, s13, s23, order, out, roots, n)
+            n, good = _solve(c12, c13, c23, s12, s13, s23, order, slack, out, roots, n)
         elif order == 1:  # 2, 3, 1
-            n, good = _solve(c23, c12, c13, s23, s12, s13, order, out, roots, n)
+            n, good = _solve(c23, c12, c13, s23, s12, s13, order, slack, out, roots, n)
         else:  # 3, 1, 2
-            n, good = _solve(c13, c23, c12, s13, s23, s12, order, out, roots, n)
+            n, good = _solve(c13, c23, c12, s13, s23, s12, order, slack, out, roots, n)
         if good:
             break
     return n
 
 
 @njit(cache=True)
-def _solve(c12, c13, c23, s12, s13, s23, order, out, roots, n):
+def _solve(c12, c13, c23, s12, s13, s23, order, slack, out, roots, n):
     """Solutions for one order of the nodes, added to out unless there already.
 
     Second value: whether no other order needs to be tried.
@@ -151,24 +153,25 @@ def _solve(c12, c13, c23, s12, s13, s23, order, out, roots, n):
         if abs(line) > 1e-4:
             y = ((a2 * x + a1) * x + a0) / (2.0 * w * line)
             before = n
-            n = _add(x * d3, y * d3, d3, c12, c13, c23, s12, s13, s23, order, out, n)
+            n = _add(x * d3, y * d3, d3, c12, c13, c23, s12, s13, s23, order, slack, out, n)
             # Two near roots that polishing took to one: another order parts them differently.
             good = good and (n > before or y <= 0.0)
         else:  # both y of the first equation; what is false fails the check
             good = False
             root = np.sqrt(max(c12 * c12 * x * x + (q2 * x * x + q1 * x + 1.0) / w, 0.0))
             for y in (c12 * x + root, c12 * x - root):
-                n = _add(x * d3, y * d3, d3, c12, c13, c23, s12, s13, s23, order, out, n)
+                n = _add(x * d3, y * d3, d3, c12, c13, c23, s12, s13, s23, order, slack, out, n)
     return n, good
 
 
 @njit(cache=True)
-def _add(d1, d2, d3, c12, c13, c23, s12, s13, s23, order, out, n):
+def _add(d1, d2, d3, c12, c13, c23, s12, s13, s23, order, slack, out, n):
     """Polishes a solution by Newton's method on Eq. 9, checks it, and adds it to out."""
     if n == 4 or not (d1 > 0.0 and d2 > 0.0 and d3 > 0.0):
         return n
     size = s12 + s13 + s23
     conditioning, before = 0.0, np.inf
+    least, b1, b2, b3 = np.inf, d1, d2, d3
     for _ in range(12):
         r1 = d1 * d1 + d2 * d2 - 2.0 * d1 * d2 * c12 - s12
         r2 = d1 * d1 + d3 * d3 - 2.0 * d1 * d3 * c13 - s13
@@ -182,6 +185,8 @@ def _add(d1, d2, d3, c12, c13, c23, s12, s13, s23, order, out, n):
         off = abs(r1) + abs(r2) + abs(r3)
         if det == 0.0 or off < 1e-15 * size:
             break
+        if off < least:
+            least, b1, b2, b3 = off, d1, d2, d3
         if off > 0.5 * before and off < 1e-13 * size:
             break
         before = off
@@ -194,7 +199,9 @@ def _add(d1, d2, d3, c12, c13, c23, s12, s13, s23, order, out, n):
         if max(abs(e1), abs(e2), abs(e3)) < 1e-9 * (d1 + d2 + d3):
             off = 0.0
             break
-    if not (d1 > 0.0 and d2 > 0.0 and d3 > 0.0) or not off < 1e-9 * size:
+    if not off < 1e-9 * size:
+        off, d1, d2, d3 = least, b1, b2, b3
+    if not (d1 > 0.0 and d2 > 0.0 and d3 > 0.0 and off < max(slack, 1e-9) * size):
         return n
     if order == 1:  # solved as nodes 2, 3, 1
         d1, d2, d3 = d3, d1, d2

@@ -72,7 +72,8 @@ def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) ->
         for culprits in combinations(trusted, count):
             for rows in readings:
                 rest = rows[~np.isin(node[rows], culprits)]
-                if _redundancy(rest, node) is None:
+                # What is left must check itself better than those left out could check it.
+                if len(rest) - 6 >= LEAST_FREEDOM * count and _redundancy(rest, node) is None:
                     fitted = _fitted(starts[0], rest, data, covariance)
                     if fitted is not None and fitted.acceptable():
                         agreeing.append(fitted)

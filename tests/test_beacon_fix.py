@@ -1,0 +1,327 @@
+"""Raw stamps to pose: truth, motion, covariance, reflections, occlusion, bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from beacon_world import NAMES, TRUSS, BeaconWorld, exp_twist
+
+from twin.geometry import inverse, rot_x, rot_y, rot_z, transform
+from twin.stack.estimation.beacons.angles import normals
+from twin.stack.estimation.beacons.bound import Setting, pose_bound, position_sigma
+from twin.stack.estimation.beacons.fix import Fix, Locator, base_from_head
+from twin.stack.estimation.beacons.refine import (
+    chi_square_limit,
+    head_twist,
+    linearise,
+    motion,
+    moved,
+)
+from twin.stack.estimation.beacons.rigid import exp_rotation
+from twin.stack.estimation.beacons.stamps import (
+    PLANE_1,
+    SYNC,
+    T0,
+    NodeSurvey,
+    NoFix,
+    Noise,
+    StampBatch,
+)
+
+
+def locator(world, rng=None, **kwargs) -> Locator:
+    return Locator(
+        world.survey(rng), world.head, world.T_base_head, spin_rate=world.spin_rate, **kwargs
+    )
+
+
+def fixed(found) -> Fix:
+    assert isinstance(found, Fix), found
+    return found
+
+
+def error(found, world):
+    """Of the head: shift in world axes, turn in head axes."""
+    T = world.head_pose(0.0)
+    R = T[:3, :3].T @ found.T_world_head[:3, :3]
+    turn = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return np.concatenate([found.T_world_head[:3, 3] - T[:3, 3], turn])
+
+
+def without(stamps, drop) -> StampBatch:
+    keep = ~drop
+    return StampBatch(stamps.nodes, stamps.channel[keep], stamps.kind[keep], stamps.ticks[keep])
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0])
+def test_exact_stamps_give_the_pose(rate):
+    """Expected result: what a tick of 10 ns leaves, far below the noise."""
+    base = transform(rot_z(0.3) @ rot_y(0.02) @ rot_x(-0.01), (0.4, -0.3, 0.01))
+    world = BeaconWorld(T_world_base=base, spin_rate=rate, drift=100e-6)
+    found = fixed(locator(world).fix(world.batch(np.random.default_rng(3), noisy=False)))
+    sigma = np.sqrt(np.diag(found.head_covariance))
+    assert np.all(np.abs(error(found, world)) < 0.15 * sigma)
+    assert found.T_world_base == pytest.approx(world.T_world_base, abs=3e-4)
+    assert len(found.used) == 12 and not found.rejected and found.freedom == 6
+
+
+def test_motion_is_compensated():
+    """At 0.5 m/s a turn of the head takes 16 mm; given the twist, that does no harm."""
+    world = BeaconWorld(twist=np.array([0.5, -0.2, 0.0, 0.0, 0.0, 0.4]))
+    stamps = world.batch(np.random.default_rng(5), noisy=False)
+    found = fixed(locator(world).fix(stamps, world.twist))
+    assert np.abs(error(found, world)[:3]).max() < 2e-4
+    still = locator(world).fix(stamps)
+    assert isinstance(still, NoFix) or np.abs(error(still, world)[:3]).max() > 5e-3
+
+
+def test_motion_of_the_head_by_the_matrix_exponential():
+    twist, t = np.array([0.5, -0.2, 0.1, 0.1, -0.2, 0.6]), 0.03
+    A, s = motion(twist, np.array([t]))
+    T, p = exp_twist(twist, t), np.array([3.0, 1.0, -2.0])
+    assert A[0] @ p - s[0] == pytest.approx(inverse(T)[:3, :3] @ p + inverse(T)[:3, 3], abs=1e-6)
+
+
+def test_twist_of_the_head():
+    T = transform(rot_z(-2.5), (0.1, 0.3, 0.6))
+    twist = np.array([0.5, -0.2, 0.1, 0.1, -0.2, 0.6])
+    moved_head = inverse(T) @ exp_twist(twist, 1e-3) @ T
+    assert exp_twist(head_twist(twist, T), 1e-3) == pytest.approx(moved_head, abs=1e-12)
+
+
+def test_derivatives_of_the_crossings():
+    world = BeaconWorld()
+    T = world.head_pose(0.0)
+    n, node, plane = normals(world.head), np.repeat(np.arange(6), 2), np.tile([0, 1], 6)
+    A, s = motion(np.array([0.3, 0.1, 0, 0, 0, 0.5]), np.linspace(-0.01, 0.01, 12))
+    rows, theta = np.arange(12), np.zeros(12)
+    J, r = np.empty((12, 6)), np.empty((3, 12))
+
+    def residual(step, out, J_out):
+        R, p = np.empty((3, 3)), np.empty(3)
+        moved(T[:3, :3].copy(), T[:3, 3].copy(), step, R, p, np.empty((3, 3)))
+        assert linearise(R, p, rows, world.nodes, node, plane, theta, n, A, s, out, J_out)
+
+    residual(np.zeros(6), r[0], J)
+    for i in range(6):
+        e = 1e-6 * np.eye(6)[i]
+        residual(e, r[1], np.empty((12, 6)))
+        residual(-e, r[2], np.empty((12, 6)))
+        assert J[:, i] == pytest.approx((r[2] - r[1]) / 2e-6, abs=1e-6)
+
+
+def test_derivative_of_the_base_by_the_head():
+    T, mount = (
+        transform(rot_z(0.7) @ rot_x(0.1), (1, 2, 0.5)),
+        transform(rot_z(-2.5), (0.1, 0, 0.6)),
+    )
+    e = 1e-6 * np.array([1.0, -2, 3, 0.5, -1, 2])
+    moved_head = transform(T[:3, :3] @ exp_rotation(e[3:]), T[:3, 3] + e[:3])
+    before, after = T @ inverse(mount), moved_head @ inverse(mount)
+    R = before[:3, :3].T @ after[:3, :3]
+    shift = np.concatenate([after[:3, 3] - before[:3, 3], [R[2, 1], R[0, 2], R[1, 0]]])
+    assert base_from_head(T, inverse(mount)) @ e == pytest.approx(shift, abs=1e-11)
+
+
+def test_errors_fit_the_covariance_and_reach_the_bound():
+    """120 noisy revolutions, the survey wrong by a new draw each time."""
+    world, rng = BeaconWorld(), np.random.default_rng(0)
+    bound = pose_bound(world.head_pose(0.0), Setting(world.survey()))
+    errors, squares = [], []
+    for _ in range(120):
+        found = fixed(locator(world, rng).fix(world.batch(rng)))
+        errors.append(error(found, world))
+        squares.append(errors[-1] @ np.linalg.solve(found.head_covariance, errors[-1]))
+    assert np.mean(squares) == pytest.approx(6.0, abs=1.0)
+    rmse = np.sqrt(np.mean(np.square(errors), axis=0)[:3])
+    assert np.all(rmse / position_sigma(bound) < 1.25)
+    assert np.all(rmse / position_sigma(bound) > 0.75)
+
+
+def test_better_than_the_source_on_the_same_revolutions():
+    world, rng = BeaconWorld(), np.random.default_rng(2)
+    ours, source = [], []
+    for _ in range(60):
+        stamps = world.batch(rng)
+        ours.append(error(fixed(locator(world).fix(stamps)), world)[:3])
+        T = locator(world).source_fix(stamps, ("T1", "T2", "T3", "T4"))
+        assert isinstance(T, np.ndarray)
+        source.append(T[:3, 3] - world.head_pose(0.0)[:3, 3])
+    ours, source = np.std(ours, axis=0), np.std(source, axis=0)
+    assert np.all(ours < source)
+    assert source[0] < 0.3 * min(source[1], source[2])  # the source's pattern
+    assert np.max(source) < 6e-3
+
+
+# --- faults -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("node", NAMES)
+@pytest.mark.parametrize("keeps", [True, False])
+def test_one_node_blocked_and_one_reflecting(node, keeps):
+    """Expected result: the reflection is left out, and the pose is within its sigmas."""
+    blocked = NAMES[(NAMES.index(node) + 2) % 6]
+    world = BeaconWorld(blocked=(blocked,), reflections={node: (np.array([0, -0.2, -0.9]), keeps)})
+    found = fixed(locator(world).fix(world.batch(np.random.default_rng(4))))
+    left = error(found, world)
+    assert left[:3] @ np.linalg.solve(found.head_covariance[:3, :3], left[:3]) < 20.0
+    assert all(name == node for name, _ in found.rejected) and len(found.rejected) == 2
+    assert not any(name == blocked for name, _ in found.used)
+
+
+def test_a_small_reflection_is_never_a_wrong_fix():
+    """Displacements of 1 to 60 mm, the worst there are; a refusal is right, a wrong pose is not."""
+    rng, fixes = np.random.default_rng(7), 0
+    for i in range(40):
+        shift = rng.standard_normal(3) * 10 ** rng.uniform(-3.0, -1.5)
+        world = BeaconWorld(
+            blocked=(NAMES[i % 6],), reflections={NAMES[(i + 1) % 6]: (shift, False)}
+        )
+        found = locator(world).fix(world.batch(rng))
+        if isinstance(found, NoFix):
+            assert found.reason in ("ambiguous", "residuals", "no redundancy", "no solution")
+            continue
+        clean = [k for k in range(6) if k not in (i % 6, (i + 1) % 6)]
+        survey = NodeSurvey(tuple(NAMES[k] for k in clean), TRUSS[clean], np.full(4, 30e-6))
+        sigma = position_sigma(pose_bound(world.head_pose(0.0), Setting(survey)))
+        assert np.all(np.abs(error(found, world)[:3]) < 5.0 * sigma)
+        fixes += 1
+    assert fixes > 20
+
+
+def test_missed_pulses():
+    world = BeaconWorld(missed_sync=0.15)
+    rng = np.random.default_rng(0)
+    found = [locator(world).fix(world.batch(rng)) for _ in range(20)]
+    good = [f for f in found if isinstance(f, Fix)]
+    assert len(good) >= 12  # a batch of one turn holds 7 pulses, 5 of which must be left
+    for f in good:
+        left = error(f, world)
+        assert left @ np.linalg.solve(f.head_covariance, left) < 30.0
+
+
+def test_three_nodes_give_no_fix():
+    world = BeaconWorld(blocked=NAMES[3:])
+    found = locator(world).fix(world.batch(np.random.default_rng(0)))
+    assert isinstance(found, NoFix) and found.reason == "no redundancy"
+
+
+def test_two_nodes():
+    world = BeaconWorld(blocked=NAMES[2:])
+    found = locator(world).fix(world.batch(np.random.default_rng(0)))
+    assert isinstance(found, NoFix) and found.reason == "few nodes"
+
+
+def test_four_nodes_of_which_one_lies():
+    world = BeaconWorld(blocked=NAMES[4:], reflections={"T2": (np.array([0.1, 0.3, 0.5]), False)})
+    found = locator(world).fix(world.batch(np.random.default_rng(0)))
+    assert isinstance(found, NoFix)
+    assert found.reason in ("no redundancy", "no solution", "residuals")
+
+
+def test_collinear_nodes():
+    nodes = TRUSS.copy()
+    nodes[:, 2] = 0.7 + 0.001 * np.arange(6)
+    nodes[:, 1] = np.linspace(-1, 1, 6)
+    world = BeaconWorld(nodes=nodes)
+    found = locator(world).fix(world.batch(np.random.default_rng(0)))
+    assert isinstance(found, NoFix) and found.reason == "collinear nodes"
+
+
+def test_head_on_the_danger_cylinder():
+    """Nodes on a circle of 1 m and the head straight before a point of it.
+
+    Expected result: three nodes say nothing and the source's method says so; four or more still
+    make a fix, for each triple is blind in another direction.
+    """
+    angle = np.radians([10.0, 70, 140, 200, 260, 310])
+    nodes = np.stack([np.full(6, 3.0), np.cos(angle), 0.6 + np.sin(angle)], axis=1)
+    on = transform(np.eye(3), (-0.1, 1.0, 0.0))
+    world, rng = BeaconWorld(nodes=nodes, T_world_base=on), np.random.default_rng(0)
+    blunt = 0
+    for _ in range(10):
+        stamps = world.batch(rng)
+        left = error(fixed(locator(world).fix(stamps)), world)
+        assert np.abs(left[:3]).max() < 5e-3
+        source = locator(world).source_fix(stamps, ("T1", "T2", "T3", "T4"))
+        blunt += isinstance(source, NoFix) and source.reason in ("danger cylinder", "no solution")
+    assert blunt >= 6
+    # All three that are left in a pose without any other: named when the pose is loose.
+    setting = Setting(NodeSurvey(NAMES[:3], nodes[:3], np.full(3, 30e-6)))
+    assert np.all(np.isinf(pose_bound(world.head_pose(0.0), setting)))
+
+
+def test_bad_input_is_named():
+    world = BeaconWorld()
+    stamps, place = world.batch(np.random.default_rng(0)), locator(BeaconWorld())
+    swapped = stamps.ticks.copy()
+    swapped[[3, 4]] = swapped[[4, 3]]
+    reference = (stamps.channel == T0) & (stamps.kind == PLANE_1)
+    cases = {
+        "unknown node": replace(stamps, nodes=("X9", *NAMES[1:])),
+        "malformed stamps": replace(stamps, nodes=("T2", *NAMES[1:])),
+        "stamps out of order": replace(stamps, ticks=swapped),
+        "stamps not finite": replace(
+            stamps, ticks=np.where(stamps.kind == 1, np.nan, stamps.ticks)
+        ),
+        "no reference": without(stamps, reference),
+        "few nodes": without(stamps, (stamps.channel > 2) & (stamps.kind != SYNC)),
+    }
+    for reason, bad in cases.items():
+        found = place.fix(bad)
+        assert isinstance(found, NoFix) and found.reason == reason, reason
+        four = ("T1", "T2", "T3", "T4")
+        assert isinstance(place.source_fix(bad, four), NoFix) or reason == "malformed stamps"
+    assert isinstance(place.fix(stamps, np.full(6, np.nan)), NoFix)
+    no_light = without(stamps, (stamps.channel == T0) & (stamps.kind == SYNC))
+    found = place.fix(no_light)
+    assert isinstance(found, NoFix) and found.reason == "no reference"
+
+
+def test_random_rubbish_never_crashes():
+    """Expected result: no fix, whatever the bits."""
+    rng, place = np.random.default_rng(0), locator(BeaconWorld())
+    for _ in range(200):
+        n = int(rng.integers(0, 60))
+        stamps = StampBatch(
+            NAMES,
+            rng.integers(0, 7, n),
+            rng.integers(0, 3, n),
+            np.sort(rng.integers(0, 1 << 32, n)),
+        )
+        assert isinstance(place.fix(stamps), NoFix)
+    world = BeaconWorld()
+    for _ in range(60):  # true stamps of which many are shuffled about
+        stamps = world.batch(rng)
+        ticks = stamps.ticks.copy()
+        hit = (rng.random(len(ticks)) < 0.3) & (stamps.kind != SYNC)
+        ticks[hit] += rng.integers(-20_000, 20_000, int(hit.sum()))
+        found = place.fix(replace(stamps, ticks=ticks))
+        assert isinstance(found, NoFix) or np.abs(error(found, world)[:3]).max() < 0.03
+
+
+def test_loose_geometry_is_no_fix():
+    world = BeaconWorld()
+    stamps = world.batch(np.random.default_rng(0))
+    found = locator(world, loosest=1e-4).fix(stamps)
+    assert isinstance(found, NoFix) and found.reason == "loose geometry"
+
+
+def test_noise_far_beyond_belief_is_no_fix():
+    world = BeaconWorld(noise=Noise(crossing=20e-6))
+    rng = np.random.default_rng(0)
+    found = [locator(world).fix(world.batch(rng)) for _ in range(20)]
+    assert all(isinstance(f, NoFix) for f in found)
+
+
+def test_survey_is_checked():
+    with pytest.raises(ValueError, match="differ"):
+        NodeSurvey(("A", "A"), np.zeros((2, 3)), np.zeros(2))
+    with pytest.raises(ValueError, match="not a number"):
+        NodeSurvey(("A", "B"), np.full((2, 3), np.nan), np.zeros(2))
+
+
+def test_chi_square_limit():
+    # Tables: 99.99 % quantiles are 18.42 at 2 and 27.86 at 6 degrees of freedom.
+    assert chi_square_limit(2, 3.719) == pytest.approx(18.42, rel=0.06)
+    assert chi_square_limit(6, 3.719) == pytest.approx(27.86, rel=0.03)
