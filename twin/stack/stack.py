@@ -96,6 +96,7 @@ class Stack:
         self.now = 0.0
         self.pose = start  # in world
         self.odom = start  # fused odometry, anchored in world by `anchor`
+        self._believed = np.zeros(3)  # world from odom when the vehicle was last sure of it
         self._anchor = np.zeros(3)  # world from odom, held still while parts are tracked
         self._detections: tuple[Detection, ...] = ()
         self._detections_stamp = -1.0
@@ -169,10 +170,13 @@ class Stack:
         velocity = self.localiser.velocity
         if self._may_search() and not self.search.active:
             self.search.begin(stamp)
+            self._believed = self.localiser.world_from_odom.copy()
         if self.search.active:
             command = self.search.step(stamp, self.localiser)
             if not self.search.active:
-                self.navigator.restart()
+                fused = self.localiser.fused.pose(stamp)
+                off = compose2(self._believed, fused) - self.localiser.pose(stamp)
+                self.navigator.restart(float(np.hypot(*off[:2])))
             return command
         if self.navigator.active:
             return self.navigator.step(stamp, self.pose, velocity)
