@@ -142,7 +142,8 @@ class FusedOdometry:
         if self._parked is not None and stands:  # arms at work shake the wheels: that is no slip
             self.ekf.update_wheels(mean, interval)
         else:
-            self._believe(wheel.stamp, mean, moved * self._rim_angle / interval, interval)
+            speeds = np.asarray(moved * self._rim_angle / interval, dtype=np.float64)
+            self._believe(wheel.stamp, mean, speeds, interval)
         # Wheels may be locked while the vehicle slides on: it is parked once they grip.
         self.standing = stands and not self.slip.slipping
         if not self.standing:
