@@ -12,7 +12,18 @@ import numpy as np
 from numba import njit
 
 from twin.geometry import Array, wrap_angle
-from twin.stack.planning.clearance import AX, BY, RADIUS, VX, VY, Footprint, nearest
+from twin.stack.planning.clearance import (
+    AX,
+    AY,
+    BX,
+    BY,
+    RADIUS,
+    VX,
+    VY,
+    Footprint,
+    clearance,
+    nearest,
+)
 from twin.stack.planning.teb_terms import Limits
 
 SPACING = 0.05  # m between points of the reference
@@ -25,6 +36,7 @@ BLEND = 0.6  # m along which the heading turns into the path's
 SIDEWAYS, BLIND = 1.5, 3.0
 AHEAD, ABEAM = math.radians(50.0), math.radians(125.0)  # half the fields of view of both, in part
 TOUCH = 1000.0  # s that a metre too little of room counts: as good as closed
+GIVE = 0.20  # m by which a path may give way for it
 TIGHT = 0.04  # m of room that a heading should leave
 # Ahead or reversed, and m along the path after which the heading begins to turn into it.
 MODES = ((0.0, 0.0), (0.0, 0.4), (0.0, 0.8), (0.0, 1.4), (0.0, 2.4), (math.pi, 0.0))
@@ -103,10 +115,24 @@ def headings(
 
 @njit(cache=True)
 def _tightness(points, yaw, half, obstacles, need):
-    """Metres by which the room falls short of `need` at the tightest point but the first."""
+    """Metres by which the room falls short of `need` at the tightest point but the first.
+
+    Each point may first give way by up to `GIVE` to what is too near, as the optimiser will do;
+    between two sides there is nowhere to give way to.
+    """
     worst = 0.0
     for i in range(1, points.shape[0]):
-        d = nearest(points[i, 0], points[i, 1], yaw[i], 0.0, half, obstacles)[0]
+        x, y = points[i, 0], points[i, 1]
+        d, k = nearest(x, y, yaw[i], 0.0, half, obstacles)
+        for _ in range(4):
+            if d >= need:
+                break
+            o = obstacles[k]
+            _, dx, dy, _ = clearance(x, y, yaw[i], half, o[AX], o[AY], o[BX], o[BY])
+            x, y = x + (need - d + 0.002) * dx, y + (need - d + 0.002) * dy
+            if np.hypot(x - points[i, 0], y - points[i, 1]) > GIVE:
+                break
+            d, k = nearest(x, y, yaw[i], 0.0, half, obstacles)
         worst = max(worst, need - d)
     return worst
 
