@@ -186,6 +186,21 @@ def test_svd_rotation_is_proper_and_best(seed):
         assert np.trace(R @ H) == pytest.approx(S[0] + S[1] + sign * S[2], abs=1e-9)
 
 
+@first_compiles
+@given(seeds)
+def test_closed_form_of_three_points_is_the_svd(seed):
+    p_world, T = random_case(seed, 3)
+    p_head = apply(T, p_world)
+    assume(conditioning(p_head) > 0.01 and triple_fault(p_world) is None)
+    found = p3p(p_head, p_world)
+    for k in range(int(found.count[0])):
+        unit = p_head / np.linalg.norm(p_head, axis=1)[:, None]
+        svd = rigid_fit(p_world, unit * found.distances[0, k][:, None])
+        assert found.R[0, k] == pytest.approx(svd[:3, :3], abs=1e-7)
+        assert found.t[0, k] == pytest.approx(svd[:3, 3], abs=1e-6)
+        assert np.linalg.det(found.R[0, k]) == pytest.approx(1.0)
+
+
 def test_mirrored_points_get_a_rotation_not_a_reflection():
     p = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     T = rigid_fit(p, p * [1, 1, -1])

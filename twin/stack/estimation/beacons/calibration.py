@@ -9,6 +9,7 @@ so a step costs no more than the number of stops.
 Frames: `T_world_head` at each stop; small errors as in `refine`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,6 +124,7 @@ class Bundle:
         self.surveyed = np.ascontiguousarray(survey.p_world, dtype=float)
         self.sigma = np.maximum(np.asarray(survey.sigma, dtype=float), 1e-7)
         self.whiteners = [np.linalg.inv(np.linalg.cholesky(s.covariance)) for s in stops]
+        self.still = [motion(np.zeros(6), stop.time) for stop in stops]
         guesses = [_guess(stop, self.surveyed, start) for stop in stops]
         lost = [k for k, guess in enumerate(guesses) if guess is None]
         if lost:
@@ -140,6 +142,7 @@ class Bundle:
             s.node[keep], s.plane[keep], s.theta[keep], s.time[keep], covariance, s.rate
         )
         self.whiteners[k] = np.linalg.inv(np.linalg.cholesky(covariance))
+        self.still[k] = motion(np.zeros(6), self.stops[k].time)
 
     def linearised(self, state, k: int):
         """Stop k: whitened residuals (m,), derivatives by the shared unknowns and by its pose."""
@@ -147,7 +150,7 @@ class Bundle:
         stop, head = self.stops[k], HeadParameters(*phi)
         m = len(stop.theta)
         r, J = np.empty(m), np.empty((m, 6))
-        A, s = motion(np.zeros(6), stop.time)
+        A, s = self.still[k]
         n = normals(head)
         rows, seen = np.arange(m), (stop.node, stop.plane, stop.theta)
         if not linearise(R[k], p[k], rows, places, *seen, n, A, s, r, J):
@@ -166,20 +169,37 @@ class Bundle:
         L = self.whiteners[k]
         return L @ r, L @ shared, L @ J
 
-    def cost(self, state) -> float:
-        """Sum of squared residuals in sigmas; infinite where a plane cannot meet a node."""
-        total = float(np.sum(((state[1] - self.surveyed) / self.sigma[:, None]) ** 2))
+    @property
+    def unknowns(self) -> int:
+        """Three angles, three of each place, six of each pose."""
+        return 3 + self.surveyed.size + 6 * len(self.stops)
+
+    def residuals(self, step: Array) -> Array:
+        """In sigmas, of the survey and then of each stop, a step away from the start."""
+        k = 3 + self.surveyed.size
+        found = self._residuals(self._moved(self.start, step[:k], step[k:].reshape(-1, 6)))
+        if found is None:
+            raise ValueError("calibration: a plane cannot meet a node from here")
+        return found
+
+    def _residuals(self, state) -> Array | None:
+        """None where a plane cannot meet a node."""
         phi, places, R, p = state
+        found = [((places - self.surveyed) / self.sigma[:, None]).ravel()]
         n = normals(HeadParameters(*phi))
         for k, stop in enumerate(self.stops):
             m = len(stop.theta)
             r, J = np.empty(m), np.empty((m, 6))
-            A, s = motion(np.zeros(6), stop.time)
             seen = (stop.node, stop.plane, stop.theta)
-            if not linearise(R[k], p[k], np.arange(m), places, *seen, n, A, s, r, J):
-                return np.inf
-            total += float(np.sum((self.whiteners[k] @ r) ** 2))
-        return total
+            if not linearise(R[k], p[k], np.arange(m), places, *seen, n, *self.still[k], r, J):
+                return None
+            found.append(self.whiteners[k] @ r)
+        return np.concatenate(found)
+
+    def cost(self, state) -> float:
+        """Sum of squared residuals in sigmas; infinite where a plane cannot meet a node."""
+        found = self._residuals(state)
+        return np.inf if found is None else float(found @ found)
 
     def solve(self):
         """Levenberg-Marquardt. Returns the state, its cost, and the covariance of the angles."""
@@ -212,7 +232,7 @@ class Bundle:
             damping *= 0.1
             if change < 1e-9 * (1.0 + cost):
                 break
-        return state, cost, np.linalg.pinv(reduced)[:3, :3] if size else reduced
+        return state, cost, np.linalg.pinv(reduced, rcond=1e-17)[:3, :3]
 
     def worst(self, state) -> tuple[float, int, int] | None:
         """Largest whitened residual: its size, stop and row."""
@@ -225,7 +245,7 @@ class Bundle:
                     found = float(abs(part[0][row])), k, row
         return found
 
-    def _moved(self, state, step: Array, own: list[Array]):
+    def _moved(self, state, step: Array, own: Sequence[Array] | Array):
         phi, places, R, p = state
         R2, p2, turn = np.empty_like(R), np.empty_like(p), np.empty((3, 3))
         for k, e in enumerate(own):

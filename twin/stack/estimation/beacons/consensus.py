@@ -60,7 +60,7 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
     everyone = np.arange(m)
     r, J = np.empty(m), np.empty((m, 6))
     R, t, d, roots = np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 4)), np.empty(4)
-    work, H, F, P = np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    F, P = np.empty((3, 3)), np.empty((3, 3))
     Rw, pw, six = np.empty((3, 3)), np.empty(3), np.empty(6, dtype=np.int64)
     support = np.zeros(m, dtype=np.bool_)
     for triple in triples:
@@ -68,7 +68,7 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
             for b in range(3):
                 F[a, b], P[a, b] = f[triple[a], b], nodes[ray_node[triple[a]], b]
             six[2 * a], six[2 * a + 1] = ray_rows[triple[a], 0], ray_rows[triple[a], 1]
-        for k in range(solve_triple(F, P, slack, R, t, d, roots, work, H)):
+        for k in range(solve_triple(F, P, slack, R, t, d, roots)):
             for a in range(3):
                 pw[a] = -(R[k, 0, a] * t[k, 0] + R[k, 1, a] * t[k, 1] + R[k, 2, a] * t[k, 2])
                 for b in range(3):

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from twin.geometry import Array
 from twin.stack.estimation.beacons.quartic import distances
-from twin.stack.estimation.beacons.rigid import rotation_of
 from twin.stack.estimation.beacons.small import copy_to
 from twin.stack.estimation.beacons.stamps import NoFix
 
@@ -104,7 +103,7 @@ def triple_fault(p_world: Array) -> NoFix | None:
 
 
 @njit(cache=True)
-def solve_triple(f, P, slack, R, t, d, roots, work, H):
+def solve_triple(f, P, slack, R, t, d, roots):
     """One problem: unit rays f (3, 3), nodes P (3, 3); fills R (4, 3, 3), t (4, 3), d (4, 4).
 
     For `slack` see `quartic.distances`; 0 for none.
@@ -118,34 +117,61 @@ def solve_triple(f, P, slack, R, t, d, roots, work, H):
     if not min(s12, s13, s23) > 0.0:
         return 0
     count = distances(c12, c13, c23, s12, s13, s23, slack, d, roots)
-    px = (P[0, 0] + P[1, 0] + P[2, 0]) / 3.0
-    py = (P[0, 1] + P[1, 1] + P[2, 1]) / 3.0
-    pz = (P[0, 2] + P[1, 2] + P[2, 2]) / 3.0
+    # Eqs. 18-21 in the planes of the two triangles. H has rank two, and its SVD there is one of two
+    # rows, whose V U^T is a rotation by a closed form; the normals, drawn by the same order of the
+    # nodes, are the third singular vectors. `rigid.rotation_of` gives the same for any points.
+    ex, ey, ez = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[1, 2] - P[0, 2]
+    ax, ay, az = P[2, 0] - P[0, 0], P[2, 1] - P[0, 1], P[2, 2] - P[0, 2]
+    long = np.sqrt(s12)
+    ex, ey, ez = ex / long, ey / long, ez / long
+    nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+    high = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if not high > 1e-9 * long:
+        return 0
+    nx, ny, nz = nx / high, ny / high, nz / high
+    ox, oy, oz = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
+    foot = ex * ax + ey * ay + ez * az
+    # The triangle's corners in its plane about their mean: (u1, v1), (u2, v1), (u3, v3).
+    u1, v1 = -(long + foot) / 3.0, -high / 3.0
+    u2, u3, v3 = u1 + long, u1 + foot, v1 + high
     for k in range(count):
         d1, d2, d3 = d[k, 0], d[k, 1], d[k, 2]
-        tx = (d1 * f[0, 0] + d2 * f[1, 0] + d3 * f[2, 0]) / 3.0
-        ty = (d1 * f[0, 1] + d2 * f[1, 1] + d3 * f[2, 1]) / 3.0
-        tz = (d1 * f[0, 2] + d2 * f[1, 2] + d3 * f[2, 2]) / 3.0
-        for i in range(3):
-            H[i, 0] = H[i, 1] = H[i, 2] = 0.0
-        for n in range(3):  # Eqs. 18, 19
-            ax, ay, az = P[n, 0] - px, P[n, 1] - py, P[n, 2] - pz
-            bx, by, bz = d[k, n] * f[n, 0] - tx, d[k, n] * f[n, 1] - ty, d[k, n] * f[n, 2] - tz
-            H[0, 0] += ax * bx
-            H[0, 1] += ax * by
-            H[0, 2] += ax * bz
-            H[1, 0] += ay * bx
-            H[1, 1] += ay * by
-            H[1, 2] += ay * bz
-            H[2, 0] += az * bx
-            H[2, 1] += az * by
-            H[2, 2] += az * bz
-        if not rotation_of(H, R[k], work):
-            return 0
-        r = R[k]
-        t[k, 0] = tx - (r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz)  # Eq. 22
-        t[k, 1] = ty - (r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz)
-        t[k, 2] = tz - (r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz)
+        tx, ty, tz = d1 * f[0, 0], d1 * f[0, 1], d1 * f[0, 2]
+        gx, gy, gz = d2 * f[1, 0] - tx, d2 * f[1, 1] - ty, d2 * f[1, 2] - tz
+        bx, by, bz = d3 * f[2, 0] - tx, d3 * f[2, 1] - ty, d3 * f[2, 2] - tz
+        long_k = np.sqrt(gx * gx + gy * gy + gz * gz)
+        gx, gy, gz = gx / long_k, gy / long_k, gz / long_k
+        mx, my, mz = gy * bz - gz * by, gz * bx - gx * bz, gx * by - gy * bx
+        high_k = np.sqrt(mx * mx + my * my + mz * mz)
+        mx, my, mz = mx / high_k, my / high_k, mz / high_k
+        wx, wy, wz = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx
+        foot_k = gx * bx + gy * by + gz * bz
+        # b2 and b3 from the first corner; the mean drops out, for u and v sum to zero.
+        c = u2 * long_k + u3 * foot_k + v3 * high_k
+        s = u3 * high_k - v1 * long_k - v3 * foot_k
+        size = np.sqrt(c * c + s * s)
+        c, s = c / size, s / size
+        hx, hy, hz = c * gx + s * wx, c * gy + s * wy, c * gz + s * wz
+        wx, wy, wz = c * wx - s * gx, c * wy - s * gy, c * wz - s * gz
+        R[k, 0, 0] = hx * ex + wx * ox + mx * nx
+        R[k, 0, 1] = hx * ey + wx * oy + mx * ny
+        R[k, 0, 2] = hx * ez + wx * oz + mx * nz
+        R[k, 1, 0] = hy * ex + wy * ox + my * nx
+        R[k, 1, 1] = hy * ey + wy * oy + my * ny
+        R[k, 1, 2] = hy * ez + wy * oz + my * nz
+        R[k, 2, 0] = hz * ex + wz * ox + mz * nx
+        R[k, 2, 1] = hz * ey + wz * oy + mz * ny
+        R[k, 2, 2] = hz * ez + wz * oz + mz * nz
+        # Eq. 22 about the means: mean of T = first corner + (b2 + b3) / 3.
+        px = P[0, 0] - (ex * u1 + ox * v1)
+        py = P[0, 1] - (ey * u1 + oy * v1)
+        pz = P[0, 2] - (ez * u1 + oz * v1)
+        tx += (gx * long_k + bx) / 3.0
+        ty += (gy * long_k + by) / 3.0
+        tz += (gz * long_k + bz) / 3.0
+        t[k, 0] = tx - (R[k, 0, 0] * px + R[k, 0, 1] * py + R[k, 0, 2] * pz)
+        t[k, 1] = ty - (R[k, 1, 0] * px + R[k, 1, 1] * py + R[k, 1, 2] * pz)
+        t[k, 2] = tz - (R[k, 2, 0] * px + R[k, 2, 1] * py + R[k, 2, 2] * pz)
     return count
 
 
@@ -165,11 +191,10 @@ def _batch(rays, nodes):
     d_all, cond = np.full((total, 4, 3), np.nan), np.full((total, 4), np.nan)
     slack = 0.0
     f, d, roots = np.empty((3, 3)), np.empty((4, 4)), np.empty(4)
-    work, H = np.empty((2, 3, 3)), np.empty((3, 3))
     for n in range(total):
         _unit(rays, n, f, 3)
         P = nodes[n if len(nodes) > 1 else 0]
-        count[n] = solve_triple(f, P, slack, R_all[n], t_all[n], d, roots, work, H)
+        count[n] = solve_triple(f, P, slack, R_all[n], t_all[n], d, roots)
         for k in range(count[n]):
             for i in range(3):
                 d_all[n, k, i] = d[k, i]
@@ -199,11 +224,10 @@ def _checked(rays, nodes, along_y):
     slack = 0.0
     f, d, roots, p = np.empty((4, 3)), np.empty((4, 4)), np.empty(4), np.empty(3)
     R, t = np.empty((4, 3, 3)), np.empty((4, 3))
-    work, H = np.empty((2, 3, 3)), np.empty((3, 3))
     for n in range(total):
         _unit(rays, n, f, 4)
         P = nodes[n if len(nodes) > 1 else 0]
-        for k in range(solve_triple(f[:3], P[:3], slack, R, t, d, roots, work, H)):
+        for k in range(solve_triple(f[:3], P[:3], slack, R, t, d, roots)):
             for i in range(3):  # Eq. 24
                 p[i] = R[k, i, 0] * P[3, 0] + R[k, i, 1] * P[3, 1] + R[k, i, 2] * P[3, 2] + t[k, i]
             psi = virtual_plane_error(f[3], p, along_y)

@@ -28,7 +28,8 @@ BLOCK_LIMIT = 13.8  # chi-square of two degrees that a node may cost: one in 100
 AGREE = 3.0  # sigmas by which positions of different culprits may differ
 TWINS = 60.0  # sigmas between two crossings of a plane below which either may be the true one
 MOST_READINGS = 8  # choices among such crossings that are tried
-RIVAL = 9.0  # cost by which the first start must beat another that is somewhere else
+APART = 0.03  # m and rad between starts that may end in different places
+MOST_STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -62,25 +63,26 @@ def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) ->
     if fault := _redundancy(readings[0], node):
         return fault
     agreeing = []
-    for rows in readings:
-        fitted = _fitted(starts[0], rows, data, covariance)
+    apart = _apart(starts)
+    for start, rows in product(apart, readings):
+        fitted = _fitted(start, rows, data, covariance)
         if fitted is not None and fitted.acceptable() and fitted.blocks.max() < BLOCK_LIMIT:
             agreeing.append(fitted)
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
             break
         for culprits in combinations(trusted, count):
-            for rows in readings:
+            for start, rows in product(apart, readings):
                 rest = rows[~np.isin(node[rows], culprits)]
                 # What is left must check itself better than those left out could check it.
                 if len(rest) - 6 >= LEAST_FREEDOM * count and _redundancy(rest, node) is None:
-                    fitted = _fitted(starts[0], rest, data, covariance)
+                    fitted = _fitted(start, rest, data, covariance)
                     if fitted is not None and fitted.acceptable():
                         agreeing.append(fitted)
     if agreeing:
         best = min(agreeing, key=lambda fitted: fitted.chi_square)
         if all(_same_place(best, other) for other in agreeing):
-            return _unless_rival(best, starts)
+            return best
         return NoFix("ambiguous", "which crossings are reflections cannot be told")
     if len(trusted) == LEAST_NODES:
         return NoFix("no redundancy", f"{LEAST_NODES} nodes, and they disagree")
@@ -131,13 +133,11 @@ def _same_place(a: Settled, b: Settled) -> bool:
     return bool(np.all(np.abs(a.p - b.p) < AGREE * sigma))
 
 
-def _unless_rival(found: Settled, starts) -> Settled | NoFix:
-    """The pose, unless a start of similar cost lies elsewhere."""
-    for R, p, cost in starts[1:]:
-        if cost < starts[0][2] + RIVAL:
-            turn = found.R.T @ R
-            vector = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
-            off = np.concatenate([p - found.p, vector])
-            if off @ np.linalg.solve(found.covariance, off) > 50.0:
-                return NoFix("ambiguous", "two poses fit about as well")
-    return found
+def _apart(starts):
+    """Starts that are not near a better one: four flat nodes may fit in two places."""
+    kept = []
+    for start in starts:
+        R, p, _ = start
+        if all(np.abs(p - q).max() > APART or np.abs(R - Q).max() > APART for Q, q, _ in kept):
+            kept.append(start)
+    return kept[:MOST_STARTS]
