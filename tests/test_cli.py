@@ -27,8 +27,9 @@ def test_list_gives_each_scenario_and_its_first_line(capsys):
 
 def test_the_products_own_scenarios_are_listed(capsys):
     assert main(["list"]) == 0
+    said = capsys.readouterr().out
     for file in (Path(__file__).parent.parent / "scenarios").glob("[!_]*.py"):
-        assert file.stem in capsys.readouterr().out
+        assert file.stem in said
 
 
 def test_run_writes_report_and_trajectories(tmp_path, capsys):

@@ -64,7 +64,12 @@ def drive(velocity, duration):
     Returns:
         True velocities (n, 3) at the times (n,), and the pose reached, seen from the start.
     """
-    wide = ("site.hall.x=[-6, 10]", "site.hall.y=[-6, 10]")
+    wide = (
+        "site.hall.x=[-6, 16]",
+        "site.hall.y=[-6, 10]",
+        "site.hall.partitions=[]",
+        "site.racks=[]",
+    )
     layout = load_layout(None, EXACT + wide)
     world = World(layout, AsBuilt.draw(np.random.default_rng(0), layout.world.tolerances), pool=1)
     encoders = WheelEncoders(world.model, np.random.default_rng(1))

@@ -63,7 +63,7 @@ class Story:
             part_velocity=np.array([[0.1 * (p in self.moving), 0.0, 0.0] for p in names]),
         )
         state = StackState(
-            self.now, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), task="made up"
+            self.now, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), task="made up"
         )
         self.monitor.observe(Tick(self.now, (), Commands(grippers=gripper), state, truth))
         return self

@@ -179,7 +179,7 @@ def test_plots_show_every_trajectory_that_there_is(tmp_path):
     figure, (paths, errors) = plt.subplots(1, 2)
     plot_paths(paths, tmp_path, load_layout().site)
     plot_errors(errors, tmp_path)
-    assert [line.get_label() for line in paths.lines] == ["true", "fused estimate"]
+    assert [line.get_label() for line in paths.lines] == ["floor tags", "true", "localised"]
     assert errors.lines[0].get_ydata() == pytest.approx(np.full(5, 2.0))
     plt.close(figure)
 
