@@ -36,6 +36,8 @@ class MovingOptions:
     margin: float = 0.08  # m by which it is taken larger
     late: float = 0.25  # s of its way by which it is taken larger: speed and place are estimates
     resume: float = 20.0  # s for which one that has stopped may go on as before
+    about: float = 2.0  # s after its last move within which it may just be turning about
+    braking: float = 0.15  # m that it needs to stop before a vehicle that stands
     lane: float = 4.0  # s of its way that others had better leave free
 
 
@@ -53,6 +55,7 @@ class MovingObject:
     moves: bool = False
     last_way: Array = field(default_factory=lambda: np.zeros(2))  # velocity when it last moved
     last_moved: float = -np.inf  # s
+    top: float = 0.0  # m/s, fastest that it was
 
     @property
     def speed(self) -> float:
@@ -177,6 +180,7 @@ class MovingObjects:
         if each.moves:
             if each.speed > o.speed:
                 each.last_way, each.last_moved = each.mean[VELOCITY].copy(), each.stamp
+                each.top = max(each.top, each.speed)
             if each.speed < o.rest:
                 each.moves, each.born = False, each.mean[POSITION].copy()
             return
@@ -198,6 +202,25 @@ class MovingObjects:
                 start = each.mean[POSITION] + each.mean[VELOCITY] * (now - each.stamp)
                 out.append((start, start + o.lane * way, 0.5 * o.deep + o.margin))
         return out
+
+    def threats(self, now: float, time: float) -> Array:
+        """Where what moves may be after some time, should it turn about: it stands, but larger.
+
+        Args:
+            now: s.
+            time: s that it has to go wherever it likes.
+
+        Returns:
+            Rows as in `planning.clearance`, without velocity. Shape (n, 7).
+        """
+        rows = []
+        for each in self.objects:
+            if each.moves or now - each.last_moved < self.options.about:
+                row = each.row(now, self.options)
+                row[4] += max(each.top, each.speed) * time + self.options.braking
+                row[5:] = 0.0
+                rows.append(row)
+        return np.array(rows).reshape(-1, 7)
 
     def near_moving(self, stamp: float, points: Array, margin: float) -> Array:
         """Which of points (n, 2) in world belong to something that moves. Shape (n,), bool."""

@@ -43,12 +43,14 @@ class NavigatorOptions:
     better: float = 0.85  # of the old way's cost at which a new one is taken
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
+    squeeze: float = 0.02  # m of room for a vehicle that stands and finds no wider way
     beside: float = 1.0  # m beside the way within which obstacles count
     astray: float = 0.10  # m off the reference at which the next band starts from the pose
     astray_turn: float = 0.15  # rad likewise
     closing: float = 1.0  # s before the end from which a good band is not replaced
     touch: float = 0.015  # m of room below which the way ahead is not free
     reaction: float = 0.25  # s added to the stopping time: sensors' latency and period
+    estimate: float = 0.15  # s by which the speed of what turns about is known late
     caution: float = 0.5  # s more for what moves: it sees a vehicle that stands
     patience: float = 2.0  # s without a plan until recovery
     patience_moving: float = 6.0  # s likewise while something moves near by
@@ -246,11 +248,16 @@ class Navigator:
         still = standing(near)
         touch = trajectory.touch(phase, self.footprint, near[still], need)
         meet = trajectory.touch(phase, self.footprint, near[~still], need)
+        # At a steady pace the band takes half the stopping time for the stopping distance.
+        whole = self.follower.stopping_time() + o.reaction
+        stop = 0.5 * self.follower.stopping_time() + o.reaction
+        # What moves may turn about: stop while it still stops too.
+        threats = self.layer.moving.threats(now, whole + o.estimate)
+        threats = _shrunk(threats, here, self.footprint)
+        threat = trajectory.touch(phase, self.footprint, threats, need)
+        self._brake = touch < stop or meet < stop + o.caution or threat < stop
         if min(touch, meet) == math.inf:
             return
-        # At a steady pace the band takes half the stopping time for the stopping distance.
-        stop = 0.5 * self.follower.stopping_time() + o.reaction
-        self._brake = touch < stop or meet < stop + o.caution
         self._due, self._in_the_way = now, True
 
     def _at_end(self, now: float, pose: Array, velocity: Array) -> None:
@@ -288,11 +295,16 @@ class Navigator:
         if not reason:
             near = self._obstacles(now, self._path, start)
             plan = self.teb.plan(now, start, speed, self._path, self._pose_goal[2], near)
+            if plan.trajectory is None and not moving_on:
+                plan = self.teb.plan(
+                    now, start, speed, self._path, self._pose_goal[2], near, o.squeeze
+                )
             reason = plan.reason
             if plan.trajectory is not None:
                 if self.follower.trajectory is not plan.trajectory:
                     self._take(now, plan.trajectory, start)
-                self._brake = self._in_the_way = False
+                self._in_the_way = False
+                self._look_ahead(now)
                 self._due, self._blocked_since, self._ended = now + o.band_period, None, None
                 return True
         self._without_plan(now, pose, reason)
@@ -461,11 +473,14 @@ class Navigator:
 def _shrunk(obstacles: Array, pose: Array, footprint: Footprint) -> Array:
     """Obstacles cut back to where the vehicle is not: it stands there, so they do not.
 
-    Cells are coarse and poses err; a few centimetres of a wall may seem to reach into the vehicle.
+    Cells are coarse and poses err; a few centimetres of a wall may seem to reach into the vehicle,
+    and what is guessed of a thing's far side may lie in it whole.
     """
     out = obstacles.copy() if len(obstacles) else no_obstacles()
+    kept = np.ones(len(out), dtype=bool)
     for k in range(len(out)):
         free = room(pose, footprint, out[k : k + 1])
         if free < 0.01:
             out[k, RADIUS] = max(out[k, RADIUS] + free - 0.01, 0.0)
-    return out
+            kept[k] = room(pose, footprint, out[k : k + 1]) > 0
+    return out[kept]

@@ -104,6 +104,7 @@ class Teb:
         path: Array,
         goal_yaw: float,
         obstacles: Array | None = None,
+        keep: float | None = None,
     ) -> TebPlan:
         """Band from a pose along a path, to its end or to the horizon.
 
@@ -114,7 +115,9 @@ class Teb:
             path: of the global planner, in world; its first point near the vehicle. Shape (n, 2).
             goal_yaw: at the path's end, rad.
             obstacles: rows as in `clearance`, where they are now. Shape (m, 7).
+            keep: m of room to every obstacle; without it the options' `room`.
         """
+        keep = self.options.room if keep is None else keep
         around: Array = no_obstacles() if obstacles is None else obstacles
         pose, velocity, path = (np.asarray(a, dtype=float) for a in (pose, velocity, path))
         reason = self._input_fault(now, pose, velocity, path, goal_yaw, around)
@@ -135,7 +138,7 @@ class Teb:
             bands.insert(0, warm)
         ends = np.zeros((2, 3))
         ends[0, :2], ends[0, 2] = rot2(pose[2]) @ velocity[:2], velocity[2]
-        rooms = rooms_kept(pose, goal, self.footprint, around, self.options.room)
+        rooms = rooms_kept(pose, goal, self.footprint, around, keep)
         ranked = sorted(
             (self._relaxed(band, ends, around, 0), k, band) for k, band in enumerate(bands)
         )
