@@ -151,6 +151,7 @@ def test_spin_without_a_whole_revolution():
         ({"ticks": lambda t: t.astype(str)}, "malformed stamps"),
         ({"channel": lambda c: c + 1}, "malformed stamps"),
         ({"channel": lambda c: c - 1}, "malformed stamps"),
+        ({"channel": lambda c: c.tolist()}, "malformed stamps"),
         ({"kind": lambda k: k + 2}, "malformed stamps"),
         ({"kind": lambda k: k.astype(float)}, "malformed stamps"),
     ],

@@ -13,6 +13,7 @@ import numpy as np
 from twin.geometry import Array, transform
 from twin.stack.estimation.beacons.angles import angles_of
 from twin.stack.estimation.beacons.rigid import exp_rotation
+from twin.stack.estimation.beacons.small import scaled_inverse
 from twin.stack.estimation.beacons.stamps import (
     Counter,
     HeadParameters,
@@ -54,7 +55,7 @@ class Setting:
             return np.asarray(self.sync, dtype=float)
         half, period = 0.5 / self.spin_rate + 2e-3, SyncSequence().period
         n = int(np.floor(2 * half / period))
-        return period * (np.arange(n) - 0.5 * (n - 1))
+        return np.asarray(period * (np.arange(n) - 0.5 * (n - 1)), dtype=np.float64)
 
 
 def pose_bound(T_world_head: Array, setting: Setting, twist_head: Array | None = None) -> Array:
@@ -70,7 +71,7 @@ def pose_bound(T_world_head: Array, setting: Setting, twist_head: Array | None =
     information[place, place] += np.diag(1.0 / sigma**2)
     information[turn, turn] += np.diag(_speed_prior(setting))
     known = place.stop  # the planes' angles, which come last, are known here
-    return _scaled_inverse(information[:known, :known])[:6, :6]
+    return np.asarray(scaled_inverse(information[:known, :known])[:6, :6], dtype=np.float64)
 
 
 def calibration_bound(poses: list[Array], setting: Setting) -> Array:
@@ -85,13 +86,13 @@ def calibration_bound(poses: list[Array], setting: Setting) -> Array:
         shared = np.r_[place.stop : place.stop + 3, place.start : place.stop]
         own = np.setdiff1d(np.arange(len(information)), shared)
         A, B = information[np.ix_(shared, shared)], information[np.ix_(shared, own)]
-        total += A - B @ _scaled_inverse(information[np.ix_(own, own)]) @ B.T
-    return _scaled_inverse(total)[:3, :3]
+        total += A - B @ scaled_inverse(information[np.ix_(own, own)]) @ B.T
+    return scaled_inverse(total)[:3, :3]
 
 
 def position_sigma(covariance: Array) -> Array:
     """Standard deviations of x, y, z in world, m. Shape (3,)."""
-    return np.sqrt(np.diag(covariance)[:3])
+    return np.asarray(np.sqrt(np.diag(covariance)[:3]), dtype=np.float64)
 
 
 def _information(T: Array, setting: Setting, twist: Array | None):
@@ -195,15 +196,3 @@ def _derivatives(T: Array, nodes: Array, setting: Setting, twist: Array | None, 
         place.append(slope(angles(T, nodes - e, phi), angles(T, nodes + e, phi)))
         planes.append(slope(angles(T, nodes, phi - e), angles(T, nodes, phi + e)))
     return np.array(pose), np.array(place), np.array(planes)
-
-
-def _scaled_inverse(information: Array) -> Array:
-    """Inverse with unknowns of very different units brought to one scale first.
-
-    All infinite where the data leave a direction open (collinear nodes, danger cylinder).
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    if values[0] < 1e-13 * values[-1]:
-        return np.full(information.shape, np.inf)
-    return scale[:, None] * ((vectors / values) @ vectors.T) * scale

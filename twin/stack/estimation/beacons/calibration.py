@@ -18,6 +18,7 @@ from twin.geometry import Array
 from twin.stack.estimation.beacons.angles import Crossings, normal_derivatives, normals
 from twin.stack.estimation.beacons.consensus import find_poses
 from twin.stack.estimation.beacons.refine import linearise, motion, moved
+from twin.stack.estimation.beacons.small import scaled_inverse
 from twin.stack.estimation.beacons.stamps import HeadParameters, NodeSurvey
 
 LEAST_NODES = 5  # Eq. 32
@@ -220,7 +221,7 @@ class Bundle:
                 b0 += G.T @ r
                 blocks.append((J.T @ J, G.T @ J, J.T @ r))
             while True:
-                step, own, reduced = _eliminate(H0, b0, blocks, damping)
+                step, own = _eliminate(H0, b0, blocks, damping)
                 trial = self._moved(state, step, own)
                 trial_cost = self.cost(trial)
                 if trial_cost <= cost * (1.0 + 1e-12) or damping > 1e6:
@@ -232,7 +233,20 @@ class Bundle:
             damping *= 0.1
             if change < 1e-9 * (1.0 + cost):
                 break
-        return state, cost, np.linalg.pinv(reduced, rcond=1e-17)[:3, :3]
+        return state, cost, self._covariance(state)
+
+    def _covariance(self, state) -> Array:
+        """Of the three angles, places and poses unknown as well. Infinite if undetermined."""
+        information = np.zeros((3 + self.surveyed.size,) * 2)
+        information[3:, 3:] = np.diag(np.repeat(1.0 / self.sigma**2, 3))
+        for k in range(len(self.stops)):
+            part = self.linearised(state, k)
+            if part is not None:
+                _, G, J = part
+                Q, _ = np.linalg.qr(J)  # what the pose cannot explain away
+                G = G - Q @ (Q.T @ G)
+                information += G.T @ G
+        return scaled_inverse(information)[:3, :3]
 
     def worst(self, state) -> tuple[float, int, int] | None:
         """Largest whitened residual: its size, stop and row."""
@@ -253,20 +267,18 @@ class Bundle:
         return phi + step[:3], places + step[3:].reshape(-1, 3), R2, p2
 
 
-def _eliminate(H0: Array, b0: Array, blocks, damping: float):
-    """Step of the shared unknowns, of each pose, and the shared information without damping."""
-    H, b, reduced = H0 + damping * np.diag(np.diag(H0)), b0.copy(), H0.copy()
+def _eliminate(H0: Array, b0: Array, blocks, damping: float) -> tuple[Array, list[Array]]:
+    """Step of the shared unknowns and of each pose."""
+    H, b = H0 + damping * np.diag(np.diag(H0)), b0
     kept = []
     for own, cross, right in blocks:
         damped = np.linalg.solve(
             own + damping * np.diag(np.diag(own)), np.column_stack([cross.T, right])
         )
-        H = H - cross @ damped[:, :-1]
-        b = b - cross @ damped[:, -1]
-        reduced = reduced - cross @ damped[:, :-1]
+        H, b = H - cross @ damped[:, :-1], b - cross @ damped[:, -1]
         kept.append(damped)
-    step = np.linalg.solve(H, b)
-    return step, [d[:, -1] - d[:, :-1] @ step for d in kept], reduced
+    step = np.asarray(np.linalg.solve(H, b), dtype=np.float64)
+    return step, [d[:, -1] - d[:, :-1] @ step for d in kept]
 
 
 def _guess(stop: Crossings, nodes: Array, head: HeadParameters):

@@ -66,8 +66,10 @@ def align(
         noise: of the pulses' stamps.
         interpolate: between neighbouring pulses as in Eq. 2; else a line through all of them.
     """
-    ticks, n = np.asarray(stamps.ticks), len(stamps.nodes) + 1
-    channel, kind = np.asarray(stamps.channel), np.asarray(stamps.kind)
+    ticks, channel, kind = stamps.ticks, stamps.channel, stamps.kind
+    n = len(stamps.nodes) + 1
+    if not all(isinstance(part, np.ndarray) for part in (ticks, channel, kind)):
+        return NoFix("malformed stamps", "channel, kind and ticks must be arrays")
     if not (ticks.ndim == 1 and channel.shape == kind.shape == ticks.shape):
         return NoFix("malformed stamps", "channel, kind and ticks differ in length")
     if (

@@ -73,7 +73,7 @@ def calibrate_mount(stops: list[Stop], start: Array) -> Mount:
     for _ in range(ITERATIONS):
         r, J = _linearised(stops, T, bases)
         N, before, cost = J.T @ J, cost, float(r @ r)
-        step = np.linalg.lstsq(J, r, rcond=1e-12)[0]
+        step = np.asarray(np.linalg.lstsq(J, r, rcond=1e-12)[0], dtype=np.float64)
         T = transform(T[:3, :3] @ exp_rotation(step[3:6]), T[:3, 3] + step[:3])
         bases = bases + step[6:].reshape(-1, 3)
         if np.abs(step).max() < 1e-10 or abs(before - cost) < 1e-12 * (1.0 + cost):

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 
 @njit(cache=True)
@@ -94,3 +95,15 @@ def rotation_exp(x, y, z, out):
         b * y * z + a * x,
         1.0 - b * (x * x + y * y),
     )
+
+
+def scaled_inverse(information: NDArray) -> NDArray:
+    """Inverse with unknowns of very different units brought to one scale first.
+
+    All infinite where a direction is left open, as by collinear nodes or on the danger cylinder.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    if values[0] < 1e-13 * values[-1]:
+        return np.full(information.shape, np.inf)
+    return scale[:, None] * ((vectors / values) @ vectors.T) * scale
