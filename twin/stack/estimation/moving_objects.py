@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 
@@ -222,7 +223,7 @@ class MovingObjects:
                 rows.append(row)
         return np.array(rows).reshape(-1, 7)
 
-    def near_moving(self, stamp: float, points: Array, margin: float) -> Array:
+    def near_moving(self, stamp: float, points: Array, margin: float) -> NDArray[np.bool_]:
         """Which of points (n, 2) in world belong to something that moves. Shape (n,), bool."""
         out = np.zeros(len(points), dtype=bool)
         for each in self.objects:
