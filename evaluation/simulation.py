@@ -7,7 +7,7 @@ from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
 from twin.layout import Layout, LayoutError
 from twin.loop import Loop, Observer, Tick
-from twin.messages import Reading
+from twin.messages import AnyOrder
 from twin.plant.live_viewer import LiveViewer
 from twin.plant.plant import Plant
 from twin.recording.log import ReadingsLog
@@ -35,18 +35,19 @@ class Simulation:
         self,
         request: RunRequest,
         layout: Layout,
-        order: Reading | None = None,
+        order: AnyOrder | None = None,
         observers: Sequence[Observer] = (),
         config: StackConfig | None = None,
         counts: Callable[[], Mapping[str, float]] = dict,
     ):
         self.request = request
         self.config = config or nominal_config(layout.site, layout.options)
+        self.plant = Plant(layout, request.seed, order)
         try:
             self.stack = Stack(self.config)
         except ValueError as error:  # a map that cannot be read
+            self.plant.close()
             raise LayoutError(f"options.map: {error}") from None
-        self.plant = Plant(layout, request.seed, order)
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None

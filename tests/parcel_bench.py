@@ -1,4 +1,4 @@
-"""A vehicle on the spot beside goods-in: its camera, its front arm and a parcel, in the real plant."""
+"""A vehicle beside goods-in: its camera, its front arm and a parcel, in the real plant."""
 
 import numpy as np
 

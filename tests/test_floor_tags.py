@@ -9,7 +9,7 @@ from twin.geometry import between2, compose2, inverse, pose2_to_transform
 from twin.layout import LayoutError, Tolerances, load_layout
 from twin.plant.as_built import AsBuilt
 from twin.plant.factory import build
-from twin.plant.floor_tags import QUIET, SIDE, TEXELS, printed_code, plate_side, true_pose
+from twin.plant.floor_tags import QUIET, SIDE, TEXELS, plate_side, printed_code, true_pose
 from twin.stack.config import nominal_config
 from twin.stack.detection.qr import TagReader
 from twin.tag_text import TagText, format_tag

@@ -115,7 +115,8 @@ def stops(site: Any) -> dict[str, tuple[float, float, float]]:
 
 def rack_stop(pose) -> tuple[float, float, float]:
     """Where the vehicle stands to serve a rack: alongside, the rack on its left."""
-    return compose2(pose, (0.0, -(RACK[1] / 2 + RACK_GAP), 0.0))
+    x, y, yaw = compose2(pose, (0.0, -(RACK[1] / 2 + RACK_GAP), 0.0))
+    return float(x), float(y), float(yaw)
 
 
 LEGS = (("pick_approach", "pick"), ("pick", "pick_leave"))  # driven straight, without the map

@@ -157,6 +157,8 @@ class TransportOrder:
     stamp: float
 
 
+AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder
+
 Reading = (
     WheelState
     | ImuReading
@@ -166,11 +168,7 @@ Reading = (
     | FloorFrame
     | ArmReading
     | GripperReading
-    | Order
-    | DriveOrder
-    | CourseOrder
-    | MapOrder
-    | TransportOrder
+    | AnyOrder
 )
 
 

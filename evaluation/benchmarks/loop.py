@@ -1,6 +1,6 @@
-"""Where the time of `pick_line` goes: physics, each sensor, each stage of the stack, the whole.
+"""Where the time of a run goes: physics, each sensor, each stage of the stack, the whole.
 
-    python -m evaluation.benchmarks.loop [--seconds 60] [--repeats 3]
+    python -m evaluation.benchmarks.loop [--job pick|drive] [--seconds 60] [--repeats 3]
 
 Times are wall time inside one process; shares are of the loop. Rendering runs in a worker thread
 beside physics: its rows count the worker's time, which overlaps the loop's.
@@ -15,9 +15,12 @@ from functools import wraps
 from rich.console import Console
 from rich.table import Table
 
+from twin.floor_plan import stops
 from twin.layout import load_layout
 from twin.loop import Loop
+from twin.messages import DriveOrder, Goal
 from twin.plant.plant import Plant
+from twin.site import Site
 from twin.stack.config import nominal_config
 from twin.stack.control_unit import ControlUnit
 from twin.stack.stack import Stack
@@ -52,11 +55,19 @@ class Stopwatch:
         self.calls.clear()
 
 
-def watched_loop(seed: int, watch: Stopwatch) -> Loop:
-    """The loop of `pick_line` on the default cell, every stage under the watch."""
+def drive_order(site: Site) -> DriveOrder:
+    """From rack to rack through the whole warehouse, and back to the dock."""
+    places = stops(site)
+    racks = [name for name in places if name.startswith("rack")]
+    return DriveOrder(0.0, tuple(Goal(name, places[name]) for name in (*racks, "dock")))
+
+
+def watched_loop(job: str, seed: int, watch: Stopwatch) -> Loop:
+    """The loop on the default layout, every stage under the watch."""
     layout = load_layout()
     config = nominal_config(layout.site, layout.options)
-    plant, stack = Plant(layout, seed), Stack(config)
+    order = drive_order(layout.site) if job == "drive" else None
+    plant, stack = Plant(layout, seed, order), Stack(config)
     plant.park([w.motion.rest for w in stack.arms])
     unit = ControlUnit(config.wheels)
     watch.watch("physics", plant.world, "step")
@@ -68,7 +79,11 @@ def watched_loop(seed: int, watch: Stopwatch) -> Loop:
     watch.watch("waiting for readings", plant, "readings")
     watch.watch("truth (evaluation)", plant, "truth")
     watch.watch("control unit", unit, "step")
-    watch.watch("stack: odometry and EKF", stack.fused, "step")
+    watch.watch("stack: odometry and EKF", stack.localiser.fused, "step")
+    watch.watch("stack: localiser, whole", stack.localiser, "step")
+    watch.watch("stack: AMCL", stack.localiser.amcl, "update")
+    watch.watch("stack: navigator", stack.navigator, "step")
+    watch.watch("stack: obstacle layer", stack.navigator, "hear")
     watch.watch("stack: detection", stack.detector, "detect")
     watch.watch("stack: tracking", stack.tracker, "update")
     watch.watch("stack: distance S", stack.distance, "update")
@@ -82,13 +97,14 @@ def watched_loop(seed: int, watch: Stopwatch) -> Loop:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--job", choices=("pick", "drive"), default="pick")
     parser.add_argument("--seconds", type=float, default=60.0, help="simulated seconds a run")
     parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args()
     factors = []
     for repeat in range(asked.repeats):
         watch = Stopwatch()
-        loop = watched_loop(100, watch)
+        loop = watched_loop(asked.job, 100, watch)
         loop.run(WARM_UP)
         watch.clear()
         busy = loop.busy_s

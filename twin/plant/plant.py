@@ -5,15 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.layout import Layout
-from twin.messages import (
-    Commands,
-    CourseOrder,
-    DriveOrder,
-    MapOrder,
-    Order,
-    Reading,
-    TransportOrder,
-)
+from twin.messages import AnyOrder, Commands, Order, Reading, TransportOrder
 from twin.plant.actuators.arm_drive import ArmDrive
 from twin.plant.actuators.gripper_drive import GripperDrive
 from twin.plant.actuators.wheel_drive import WheelDrive
@@ -34,8 +26,6 @@ from twin.plant.world import Truth, World
 PARKED_WIDTH = 0.025  # m between the pads at the start
 IDLE_POOL = 1  # parts of each class in the store of a plant that feeds none
 STEPS_PER_TICK = 5  # physics steps of 2 ms in a tick of the stack
-
-AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder
 
 
 class OrderDesk:

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.geometry import Array, compose2
 from twin.messages import (
+    AnyOrder,
     ArmReading,
     BodyVelocity,
     CameraFrame,
@@ -91,7 +92,7 @@ class Stack:
         self.distance = DistanceToPick(config)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))
         self.picker = Picker(config, self.arms[: config.options.arms])
-        self.order: Reading | None = None
+        self.order: AnyOrder | None = None
         self.on_picture: Callable[[CameraFrame], None] | None = None  # who wants the mast camera
         self.now = 0.0
         self.pose = start  # in world
@@ -141,7 +142,7 @@ class Stack:
                 self.on_picture(reading)
         elif isinstance(reading, LidarScan | RgbdFrame):
             self._look(reading)
-        elif type(reading) in MISSIONS and self.order is None:
+        elif isinstance(reading, AnyOrder) and self.order is None:
             self.order = reading
             self._tree = sequence(
                 "order",

@@ -259,7 +259,7 @@ class Amcl:
         )
         self._set(self._mixed(len(kept), recovery, p_base, silent) if recovery else kept)
 
-    def _mixed(self, n: int, recovery: float, p_base: Array, silent: int) -> Array:
+    def _mixed(self, n: int, recovery: float, p_base: NDArray[np.float32], silent: int) -> Array:
         """The cloud with a share of it drawn anew, as many in all as the places they fill ask for.
 
         Shape (m, 3), m at least n.

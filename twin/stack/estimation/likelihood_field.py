@@ -58,7 +58,8 @@ class LikelihoodField:
         """
         field = cls(np.zeros(shape, dtype=bool), origin, resolution, max_distance)
         segments = np.ascontiguousarray(segments, dtype=np.float64).reshape(-1, 4)
-        _approach(field.distances, segments, *field.origin, field.resolution, field.max_distance)
+        x, y = field.origin
+        _approach(field.distances, segments, x, y, field.resolution, field.max_distance)
         return field
 
     def lookup(self, points: Array) -> NDArray[np.float32]:

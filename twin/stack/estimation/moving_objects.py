@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 

@@ -114,8 +114,11 @@ class ObstacleLayer:
         elif reading.stamp < max(self._newest.values()) - self.options.late:
             fault = "it comes too late"
         if fault is None:
-            take = self._hear_lidar if isinstance(reading, LidarScan) else self._hear_depth
-            fault = take(reading, np.asarray(pose, dtype=float))
+            place = np.asarray(pose, dtype=float)
+            if isinstance(reading, LidarScan):
+                fault = self._hear_lidar(reading, place)
+            else:
+                fault = self._hear_depth(reading, place)
         if fault is not None:
             self.dropped += 1
             return f"{kind.__name__}: {fault}"

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from twin.messages import Goal
+from twin.messages import Goal, Order
 from twin.stack.grasping.intercept import arm_start_delay
 from twin.stack.tasks.mission import Act, Behaviour, sequence, together
 
@@ -46,9 +46,7 @@ class AtLine:
             return True
         if not self._arms_sent:
             workers = stack.picker.workers
-            needed = max(
-                w.motion.duration_to(stack.now, w.motion.ready_position) for w in workers
-            )
+            needed = max(w.motion.duration_to(stack.now, w.motion.ready_position) for w in workers)
             S = stack.distance.distance(stack.pose)
             speed = float(stack.localiser.velocity[0])
             if arm_start_delay(S, speed, stack.config.drive.acceleration, needed) <= 0.0:
@@ -58,6 +56,7 @@ class AtLine:
         return self._arms_sent
 
     def start(self) -> None:
+        assert isinstance(self._stack.order, Order)
         self._stack.picker.start(self._stack.now, self._stack.order)
 
     def picked(self) -> bool:
