@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from numpy.typing import NDArray
 
 from twin.geometry import Array
 
