@@ -14,7 +14,7 @@ demo: $(VENV)/.runtime  ## Run the cell once with a recording
 test: $(VENV)/.dev  ## The whole suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-slow: $(VENV)/.dev  ## Reference figures of full runs: half an hour or more
+test-slow: $(VENV)/.dev  ## Reference figures of full runs: two hours or more
 	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.dev  ## Style, types, layers
