@@ -7,13 +7,13 @@ takes over. A drive ends at its goal, or standing and saying why.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.geometry import Array, wrap_angle
 from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFrame
-from twin.stack.config import StackConfig
+from twin.stack.config import DriveLimits, StackConfig
 from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning import astar
@@ -43,7 +43,8 @@ class NavigatorOptions:
     better: float = 0.85  # of the old way's cost at which a new one is taken
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
-    squeeze: float = 0.02  # m of room for a vehicle that stands and finds no wider way
+    reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
+    squeeze: float = 0.03  # m of room for a vehicle that stands and finds no wider way
     beside: float = 1.0  # m beside the way within which obstacles count
     astray: float = 0.10  # m off the reference at which the next band starts from the pose
     astray_turn: float = 0.15  # rad likewise
@@ -81,7 +82,7 @@ class Navigator:
         by = 2 * self.options.margin
         self._wide = Footprint(self.footprint.length + by, self.footprint.width + by)
         self.layer = ObstacleLayer(config)
-        self.teb = Teb(config.drive, self.footprint)
+        self.teb = Teb(_with_reserve(config.drive, self.options.reserve), self.footprint)
         self.follower = TrajectoryFollower(config.drive)
         self.recovery = Recovery()
         self.events: list[str] = []
@@ -468,6 +469,18 @@ class Navigator:
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()
+
+
+def _with_reserve(drive: DriveLimits, reserve: float) -> DriveLimits:
+    """Limits for planning: at the vehicle's own there is nothing left to get back on the way."""
+    k = 1.0 - reserve
+    return replace(
+        drive,
+        strafe_speed=k * drive.strafe_speed,
+        turn_rate=k * drive.turn_rate,
+        acceleration=k * drive.acceleration,
+        turn_acceleration=k * drive.turn_acceleration,
+    )
 
 
 def _shrunk(obstacles: Array, pose: Array, footprint: Footprint) -> Array:

@@ -320,7 +320,9 @@ def rooms_kept(
         for place in (pose, goal) if still[k] else (pose,):
             d = room(place, footprint, one)
             if d < rooms[k]:
-                rooms[k] = 0.9 * d
+                # Hardly less than it is: each band starts from the last one's room, and a tenth
+                # less every time would soon be none.
+                rooms[k] = 0.99 * d
     return rooms
 
 
