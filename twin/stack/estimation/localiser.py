@@ -30,6 +30,7 @@ SHARED = 10.0
 # What all scans share: lidar's mount (2 mm, 3 mrad) and range offset (10 mm, in part cancelled).
 SYSTEMATIC = np.diag([0.005, 0.005, 0.003]) ** 2
 ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.26  # m, rad from the believed pose: that is another place
+BETTER = 0.10  # of a scan's beams that the map must explain more of there to be believed
 POOR = 0.5  # of what the map usually explains: less is no place at all, whatever stands around
 LOST_AFTER = 0.5  # s of doubt
 PATIENCE = 5  # updates in a row outside the gate, after which the map is believed
@@ -197,22 +198,29 @@ class Localiser:
             return
         if news:
             self._carry(reckoned)
-        off = between2(self._correction.at(reckoned), amcl.pose_at(reckoned))
-        if not self._doubt(scan.stamp, off) and news and not amcl.lost:
+        if not self._doubt(scan.stamp, reckoned) and news and not amcl.lost:
             self._correct()
 
-    def _doubt(self, stamp: float, off: Array) -> bool:
+    def _doubt(self, stamp: float, reckoned: Array) -> bool:
         """Whether the vehicle may not be where it is believed to be; after a while it is lost.
 
-        Something that stands before the lidar hides part of the map, and what is left still fits
-        best here. A vehicle that was carried off fits better elsewhere, or nowhere.
+        Something that stands before the lidar hides part of the map, and what is left may seem to
+        fit elsewhere too; particles that stray there are called back. A vehicle that was carried
+        off fits clearly better elsewhere, or nowhere.
 
         Args:
             stamp: of the scan, s.
-            off: of AMCL's pose from the believed one. Shape (3,).
+            reckoned: pose of the dead reckoning at its exposure. Shape (3,).
         """
         amcl = self.amcl
+        here, there = self._correction.at(reckoned), amcl.pose_at(reckoned)
+        off = between2(here, there)
         elsewhere = np.hypot(*off[:2]) > ELSEWHERE or abs(off[2]) > ELSEWHERE_YAW
+        if elsewhere:
+            gain = amcl.explained(there, reckoned) - amcl.explained(here, reckoned)
+            if gain < BETTER:
+                amcl.initialise(here, self.covariance + SYSTEMATIC, reckoned, stamp)
+                elsewhere = False
         self.doubtful = bool(elsewhere or amcl.quality < POOR * self._usual)
         if not self.doubtful:
             self._doubted_since = None

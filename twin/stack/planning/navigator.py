@@ -16,7 +16,6 @@ from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFr
 from twin.stack.config import DriveLimits, StackConfig
 from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.site_map import SiteMap
-from twin.stack.planning import astar
 from twin.stack.planning.clearance import (
     RADIUS,
     Footprint,
@@ -28,6 +27,7 @@ from twin.stack.planning.clearance import (
 )
 from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
 from twin.stack.planning.recovery import Recovery, Stage
+from twin.stack.planning.route import Route
 from twin.stack.planning.teb import Teb
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
 
@@ -39,8 +39,6 @@ class NavigatorOptions:
     """Not tuned, but where a reason is given."""
 
     margin: float = 0.04  # m about the vehicle on the inflated map: the band keeps as much
-    path_period: float = 0.8  # s between looks for a better way
-    better: float = 0.85  # of the old way's cost at which a new one is taken
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
     reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
@@ -88,7 +86,6 @@ class Navigator:
         self.events: list[str] = []
         self.active, self.outcome = False, ""
         self.replans = self.recoveries = 0  # of this goal
-        self._speed = config.drive.speed
         self._outcomes: list[tuple[str, str]] = []
         self._goal: Goal | None = None
         self.set_map(floor_map, unknown_ok=False)
@@ -126,10 +123,6 @@ class Navigator:
         self.events.append(f"on the way to {goal.name}")
         return ""
 
-    def cancel(self) -> None:
-        """Give the goal up; it is under way until the vehicle has come to rest."""
-        self._cancelled = self.active
-
     def restart(self, jump: float = math.inf) -> None:
         """Others have moved the vehicle: plan anew to the goal.
 
@@ -162,30 +155,13 @@ class Navigator:
             self._fresh, self._stale_costs = True, True
 
     @property
-    def approaching(self) -> bool:
-        """Whether the band under way ends at the goal."""
-        return self.active and self._final and self.follower.trajectory is not None
-
-    def remaining_time(self, now: float) -> float:
-        """Seconds to the goal: of the band, and at full speed for what lies beyond it."""
-        if not self.active or self.follower.trajectory is None:
-            return math.inf if self.active else 0.0
-        if self._final:
-            return self.follower.remaining
-        end = self.follower.trajectory.nodes[-1, :2]
-        rest = self._path[int(np.argmin(np.hypot(*(self._path - end).T))) :]
-        return (
-            self.follower.remaining + float(np.hypot(*np.diff(rest, axis=0).T).sum()) / self._speed
-        )
-
-    @property
     def state(self) -> NavigationState:
         """For the record."""
         trajectory = self.follower.trajectory
         return NavigationState(
             self._goal.name if self._goal is not None and self.active else "",
             tuple(self._outcomes),
-            self._path,
+            self.route.xy,
             np.zeros((0, 3)) if trajectory is None else trajectory.nodes[:, :3],
             self.recovery.stage.value if self.recovery.active else "",
         )
@@ -204,8 +180,6 @@ class Navigator:
             return BodyVelocity()
         if not self.active:
             return BodyVelocity()
-        if self._cancelled:
-            return self._coming_to_rest(pose)
         if self._giving_up:
             if np.abs(velocity).max() < self.options.still:
                 self._end(self._giving_up)
@@ -229,12 +203,6 @@ class Navigator:
         if now >= self._due:
             self._plan(now, pose, velocity)
         return self.follower.step(pose, self._brake)
-
-    def _coming_to_rest(self, pose: Array) -> BodyVelocity:
-        command = self.follower.step(pose, brake=True)
-        if self.follower.stopped:
-            self._end("cancelled")
-        return command
 
     def _look_ahead(self, now: float) -> None:
         """Check the way ahead against what is known now: go on, plan anew, or stop."""
@@ -294,11 +262,12 @@ class Navigator:
         start, speed = self._start(pose, velocity)
         reason = self._find_path(now, start)
         if not reason:
-            near = self._obstacles(now, self._path, start)
-            plan = self.teb.plan(now, start, speed, self._path, self._pose_goal[2], near)
+            # From here on: the band's horizon must not be used up by the way that lies behind.
+            near = self._obstacles(now, self.route.left(start), start)
+            plan = self.teb.plan(now, start, speed, self.route.xy, self._pose_goal[2], near)
             if plan.trajectory is None and not moving_on:
                 plan = self.teb.plan(
-                    now, start, speed, self._path, self._pose_goal[2], near, o.squeeze
+                    now, start, speed, self.route.xy, self._pose_goal[2], near, o.squeeze
                 )
             reason = plan.reason
             if plan.trajectory is not None:
@@ -329,45 +298,17 @@ class Navigator:
 
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
-        o, costs = self.options, self._costs()
+        costs = self._costs()
         lanes = self.layer.moving.lanes(now)
         if lanes:
             costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
             for a, b, half in lanes:
                 costs.dearer(a, b, half + self.footprint.inscribed, LANE)
-        left = self._left_of_path(start)
-        blocked = len(left) == 0 or astar.blocked(costs, left)
-        if not blocked and now < self._path_due:
-            return ""
-        self._path_due = now + o.path_period
-        try:
-            found = astar.plan(costs, start, self._pose_goal, unknown=self._unknown_ok)
-        except astar.NoPath as error:
-            if not blocked:
-                return ""
-            self._path = np.zeros((0, 2))
-            return str(error)
-        if blocked and len(self._path):
+        blocked, reason = self.route.renew(now, start, self._pose_goal, costs, self._unknown_ok)
+        if blocked:
             self.replans += 1
             self.events.append("the way is blocked: another one is taken")
-        if blocked or self._cost(costs, found.xy) < o.better * self._cost(costs, left):
-            self._path = found.xy
-        return ""
-
-    def _left_of_path(self, start: Array) -> Array:
-        """The way from the point nearest to the start on. Shape (n, 2)."""
-        if len(self._path) == 0:
-            return self._path
-        far = np.hypot(*(self._path - start[:2]).T)
-        k = int(np.argmin(far))
-        return self._path[k:] if far[k] < 0.6 else self._path[:0]
-
-    @staticmethod
-    def _cost(costs: Costmap, xy: Array) -> float:
-        """Weighted length of a way, m, as A* counts it."""
-        step = np.hypot(*np.diff(xy, axis=0).T)
-        weight = np.array([1.0 + 3.0 * min(costs.cost(p), 252) / 252 for p in xy[1:]])
-        return float(step @ weight)
+        return reason
 
     def _without_plan(self, now: float, pose: Array, reason: str) -> None:
         """No band: the last one is driven on while it is free, then stop, wait, recover."""
@@ -396,8 +337,7 @@ class Navigator:
 
     def _watch_progress(self, now: float, pose: Array) -> None:
         """Recovery for a vehicle that does not come nearer, whatever the plans say."""
-        left = self._left_of_path(pose)
-        way = float(np.hypot(*np.diff(left, axis=0).T).sum()) if len(left) > 1 else 0.0
+        way = self.route.length_left(pose)
         way += 0.3 * abs(float(wrap_angle(self._pose_goal[2] - pose[2])))
         since, least = self._progress
         if way < least - 0.1 or self._blocked_since is not None:
@@ -459,13 +399,13 @@ class Navigator:
         self.follower.stop()
 
     def _reset(self) -> None:
-        self._path = np.zeros((0, 2))
-        self._due = self._path_due = -math.inf
+        self.route = Route()
+        self._due = -math.inf
         self._brake = self._in_the_way = self._final = self._recovered = False
         self._fresh, self._stale_costs, self._tries = False, True, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
-        self._cancelled, self._giving_up = False, ""
+        self._giving_up = ""
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()

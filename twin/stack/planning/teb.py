@@ -46,7 +46,7 @@ class TebOptions:
     horizon: float = 5.0  # m of the way that one band covers
     step: float = 0.3  # s between nodes
     most: int = 60  # nodes
-    room: float = 0.055  # m that must be kept to every obstacle: the hard check
+    room: float = 0.04  # m that must be kept to every obstacle: the hard check
     first: int = 12  # iterations that every alternative gets
     rounds: tuple[float, ...] = (1.0, 4.0, 12.0)  # weights of limits and room, round by round
     iterations: int = 16  # of each round
