@@ -293,3 +293,14 @@ def test_fewer_particles_are_as_exact_as_many():
         rig.run(0.5)
         errors.append(np.sqrt(np.mean(rig.run(4.0, speed=0.7)[100:] ** 2)))
     assert errors[0] < errors[1] + 0.002
+
+
+def test_particles_that_stray_are_called_back():
+    rig = Rig()
+    rig.run(2.0, speed=0.5)
+    amcl = rig.localiser.amcl
+    amcl.initialise(np.array([9.3, 4.0, 1.0]), 0.01 * np.eye(3), rig.localiser.fused.pose(rig.now))
+    off = rig.run(2.0, speed=0.5)
+    assert not rig.localiser.lost and not rig.events
+    assert off.max() < 0.03
+    assert np.hypot(*(amcl.pose - rig.truth)[:2]) < 0.1

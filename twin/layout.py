@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, ValidationError, model_validator
 
 from twin.messages import PART_CLASSES, PartClass
-from twin.site import Interval, Name, Pose2, Position2, Site, Strict
+from twin.site import Angle, Interval, Name, Pose2, Position2, Segment, Site, Strict
 
 TRAY_SLOTS, ONE_ARM_SLOTS = 28, 26  # parts that the tray takes, and that one arm alone can place
 
@@ -110,6 +110,25 @@ class Faults(Strict):
     kidnaps: tuple[Kidnap, ...] = ()
 
 
+class Panel(Strict):
+    """A panel that is put somewhere on a line."""
+
+    kind: Literal["black_panel", "glass_panel"]
+    line: Segment  # of its middle
+    yaw: Angle
+
+
+class Hazards(Strict):
+    """Where scenarios may put what comes in the way; what and when is drawn by the run's seed.
+
+    Whatever stands there must leave the vehicle a way: nothing checks that.
+    """
+
+    mouths: tuple[Pose2, ...] = ()  # middles of aisles, yaw along them: things stand beside
+    panels: tuple[Panel, ...] = ()
+    carts: tuple[Annotated[tuple[Position2, ...], Field(min_length=2, max_length=50)], ...] = ()
+
+
 class World(Strict):
     """What only the plant knows."""
 
@@ -118,6 +137,7 @@ class World(Strict):
     tolerances: Tolerances = Tolerances()
     sensors: Sensors = Sensors()
     faults: Faults = Faults()
+    hazards: Hazards = Hazards()
     parcel: Parcel = Parcel()
     order: dict[PartClass, Annotated[int, Field(ge=0, le=20)]]
 

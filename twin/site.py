@@ -56,6 +56,13 @@ class Tag(Strict):
     next: tuple[Name, ...] = ()
 
 
+class Place(Strict):
+    """A pose that the vehicle may be sent to by name."""
+
+    name: Annotated[str, Field(pattern="^[a-z][a-z0-9_ ]{0,30}$")]
+    pose: Pose2
+
+
 class Site(Strict):
     """The surveyed drawing, known to plant and stack."""
 
@@ -69,6 +76,7 @@ class Site(Strict):
     hall: Hall
     racks: tuple[Rack, ...] = ()
     tags: tuple[Tag, ...] = ()
+    places: tuple[Place, ...] = ()  # besides stations and racks
 
     @model_validator(mode="after")
     def _can_be_built(self):

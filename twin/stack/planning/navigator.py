@@ -38,7 +38,9 @@ LANE = 240  # cost of a cell that something that moves will pass: nearly closed
 class NavigatorOptions:
     """Not tuned, but where a reason is given."""
 
-    margin: float = 0.04  # m about the vehicle on the inflated map: the band keeps as much
+    # m about the vehicle on the inflated map. The band keeps 0.04 m to cells of half-width 0.025 m:
+    # with less, ways are found on which no band is.
+    margin: float = 0.07
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
     reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
