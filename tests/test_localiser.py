@@ -295,12 +295,14 @@ def test_fewer_particles_are_as_exact_as_many():
     assert errors[0] < errors[1] + 0.002
 
 
-def test_particles_that_stray_are_called_back():
-    rig = Rig()
+def test_particles_that_stray_to_a_place_that_looks_alike_are_called_back():
+    start = np.array([8.6, 1.55, 0.0])
+    alone = AmclSettings(most_recovery=0.0)  # the filter does not find back by itself
+    rig = Rig(start, localiser=Localiser(CONFIG, start, alone))
     rig.run(2.0, speed=0.5)
     amcl = rig.localiser.amcl
-    amcl.initialise(np.array([9.3, 4.0, 1.0]), 0.01 * np.eye(3), rig.localiser.fused.pose(rig.now))
+    alike = rig.truth + [0.0, 2.1, 0.0]  # the next aisle
+    amcl.initialise(alike, 0.001 * np.eye(3), rig.localiser.fused.pose(rig.now))
     off = rig.run(2.0, speed=0.5)
-    assert not rig.localiser.lost and not rig.events
-    assert off.max() < 0.03
+    assert not rig.localiser.lost and off.max() < 0.03
     assert np.hypot(*(amcl.pose - rig.truth)[:2]) < 0.1
