@@ -301,7 +301,7 @@ def test_particles_that_stray_to_a_place_that_looks_alike_are_called_back():
     rig = Rig(start, localiser=Localiser(CONFIG, start, alone))
     rig.run(2.0, speed=0.5)
     amcl = rig.localiser.amcl
-    alike = rig.truth + [0.0, 2.1, 0.0]  # the next aisle
+    alike = compose2(rig.truth, (0.0, 2.1, 0.0))  # the next aisle
     amcl.initialise(alike, 0.001 * np.eye(3), rig.localiser.fused.pose(rig.now))
     off = rig.run(2.0, speed=0.5)
     assert not rig.localiser.lost and off.max() < 0.03

@@ -54,7 +54,7 @@ def test_unknown_ground_may_be_crossed_only_while_mapping():
     navigator = Navigator(CONFIG, site_map)
     x = float(site_map.origin[0] + 230 * site_map.resolution)
     assert "unknown" in navigator.go(0.0, goal("far", (x, -0.65, 0.0)))
-    navigator.set_map(site_map, unknown_ok=True)
+    navigator.surroundings.set_map(site_map, unknown_ok=True)
     assert navigator.go(0.0, goal("far", (x, -0.65, 0.0))) == ""
 
 

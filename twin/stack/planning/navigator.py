@@ -14,38 +14,29 @@ import numpy as np
 from twin.geometry import Array, wrap_angle
 from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFrame
 from twin.stack.config import DriveLimits, StackConfig
-from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning.clearance import (
-    RADIUS,
     Footprint,
-    no_obstacles,
     room,
     room_back,
     room_to_turn,
     standing,
 )
-from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
 from twin.stack.planning.recovery import Recovery, Stage
 from twin.stack.planning.route import Route
+from twin.stack.planning.surroundings import Surroundings
 from twin.stack.planning.teb import Teb
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
-
-LANE = 240  # cost of a cell that something that moves will pass: nearly closed
 
 
 @dataclass(frozen=True)
 class NavigatorOptions:
     """Not tuned, but where a reason is given."""
 
-    # m about the vehicle on the inflated map. The band keeps 0.04 m to cells of half-width 0.025 m:
-    # with less, ways are found on which no band is.
-    margin: float = 0.07
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
     reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
     squeeze: float = 0.03  # m of room for a vehicle that stands and finds no wider way
-    beside: float = 1.0  # m beside the way within which obstacles count
     astray: float = 0.10  # m off the reference at which the next band starts from the pose
     astray_turn: float = 0.15  # rad likewise
     closing: float = 1.0  # s before the end from which a good band is not replaced
@@ -79,9 +70,7 @@ class Navigator:
     ):
         self.options = options or NavigatorOptions()
         self.footprint = Footprint()
-        by = 2 * self.options.margin
-        self._wide = Footprint(self.footprint.length + by, self.footprint.width + by)
-        self.layer = ObstacleLayer(config)
+        self.surroundings = Surroundings(config, floor_map, self.footprint)
         self.teb = Teb(_with_reserve(config.drive, self.options.reserve), self.footprint)
         self.follower = TrajectoryFollower(config.drive)
         self.recovery = Recovery()
@@ -90,16 +79,9 @@ class Navigator:
         self.replans = self.recoveries = 0  # of this goal
         self._outcomes: list[tuple[str, str]] = []
         self._goal: Goal | None = None
-        self.set_map(floor_map, unknown_ok=False)
         self._reset()
 
     # --- asked from outside ----------------------------------------------------------------------
-
-    def set_map(self, site_map: SiteMap, unknown_ok: bool) -> None:
-        """Drive by another map from now on; unknown cells may be crossed or not."""
-        self._map, self._unknown_ok = site_map, unknown_ok
-        self.layer.set_map(site_map.states, site_map.resolution, site_map.origin)
-        self._costmap: Costmap | None = None
 
     def go(self, now: float, goal: Goal) -> str:
         """Set out for a goal; another one under way is dropped.
@@ -108,7 +90,7 @@ class Navigator:
             Empty, or in one line why it is refused; then nothing is changed but the outcome of a
             vehicle that has nothing to do.
         """
-        why = self._refusal(goal)
+        why = self.surroundings.refusal(goal)
         if why:
             self.events.append(f"{goal.name}: {why}")
             if not self.active:
@@ -133,28 +115,13 @@ class Navigator:
                 seen stays true.
         """
         if jump > self.options.astray:
-            self.layer.forget(np.zeros(3), keep=0.0)
+            self.surroundings.forget(np.zeros(3), keep=0.0)
         self.follower.stop()
         self._reset()
 
-    def _refusal(self, goal: Goal) -> str:
-        pose = np.asarray(goal.pose, dtype=float)
-        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-            return f"refused: goal {goal.pose} is not a finite x, y, yaw"
-        drawn = inflate(self._map.states, self._map.resolution, self._map.origin, self.footprint)
-        at = f"goal ({pose[0]:.2f}, {pose[1]:.2f})"
-        if drawn.cell(pose) is None:
-            return f"refused: {at} lies off the map"
-        if drawn.cost(pose) == LETHAL or not drawn.fits(pose, self.footprint):
-            return f"refused: at {at} the vehicle would stand in an obstacle"
-        if drawn.cost(pose) == UNKNOWN and not self._unknown_ok:
-            return f"refused: {at} lies on unknown ground"
-        return ""
-
     def hear(self, reading: LidarScan | RgbdFrame, pose_at_exposure: Array | None) -> None:
         """Take a scan or a depth picture, and the localised pose at its exposure."""
-        if self.layer.hear(reading, pose_at_exposure) is None:
-            self._fresh, self._stale_costs = True, True
+        self._fresh = self.surroundings.hear(reading, pose_at_exposure) or self._fresh
 
     @property
     def state(self) -> NavigationState:
@@ -213,7 +180,7 @@ class Navigator:
         if trajectory is None:
             return
         here, _ = self.follower.reference
-        near = self._obstacles(now, trajectory.nodes[:, :2], here)
+        near = self._beside(now, trajectory.nodes[:, :2], here)
         o, phase = self.options, self.follower.phase
         need = min(o.touch, 0.5 * room(here, self.footprint, near))
         still = standing(near)
@@ -223,8 +190,7 @@ class Navigator:
         whole = self.follower.stopping_time() + o.reaction
         stop = 0.5 * self.follower.stopping_time() + o.reaction
         # What moves may turn about: stop while it still stops too.
-        threats = self.layer.moving.threats(now, whole + o.estimate)
-        threats = _shrunk(threats, here, self.footprint)
+        threats = self.surroundings.threats(now, whole + o.estimate, here)
         threat = trajectory.touch(phase, self.footprint, threats, need)
         self._brake = touch < stop or meet < stop + o.caution or threat < stop
         if min(touch, meet) == math.inf:
@@ -265,7 +231,7 @@ class Navigator:
         reason = self._find_path(now, start)
         if not reason:
             # From here on: the band's horizon must not be used up by the way that lies behind.
-            near = self._obstacles(now, self.route.left(start), start)
+            near = self._beside(now, self.route.left(start), start)
             plan = self.teb.plan(now, start, speed, self.route.xy, self._pose_goal[2], near)
             if plan.trajectory is None and not moving_on:
                 plan = self.teb.plan(
@@ -300,13 +266,9 @@ class Navigator:
 
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
-        costs = self._costs()
-        lanes = self.layer.moving.lanes(now)
-        if lanes:
-            costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
-            for a, b, half in lanes:
-                costs.dearer(a, b, half + self.footprint.inscribed, LANE)
-        blocked, reason = self.route.renew(now, start, self._pose_goal, costs, self._unknown_ok)
+        around = self.surroundings
+        costs = around.costs_with_lanes(now)
+        blocked, reason = self.route.renew(now, start, self._pose_goal, costs, around.unknown_ok)
         if blocked:
             self.replans += 1
             self.events.append("the way is blocked: another one is taken")
@@ -324,7 +286,7 @@ class Navigator:
         self._due = now + (o.retry if self.follower.trajectory is None else o.band_period)
         if self.follower.trajectory is not None:
             return
-        moving = len(self.layer.moving.obstacles(now)) > 0
+        moving = self.surroundings.moving(now)
         if now - self._blocked_since > (o.patience_moving if moving else o.patience):
             self._start_recovery(now, pose, reason)
 
@@ -352,9 +314,7 @@ class Navigator:
             self._start_recovery(now, pose, f"no progress for {self.options.no_progress:.0f} s")
 
     def _recover(self, now: float, pose: Array) -> BodyVelocity:
-        near = self._costs().obstacles(pose, 2.0)
-        near = np.vstack([near, self.layer.moving.obstacles(now)])
-        near = _shrunk(near, pose, self.footprint)
+        near = self.surroundings.about(now, pose)
         turn = room_to_turn(pose, self.footprint, near)
         back = room_back(pose, self.footprint, near)
         step = self.recovery.step(now, pose, self._recovered, turn, back)
@@ -362,8 +322,7 @@ class Navigator:
         if step.event:
             self.events.append(step.event)
         if step.clear_map:
-            self.layer.forget(pose, self.options.keep)
-            self._stale_costs = True
+            self.surroundings.forget(pose, self.options.keep)
         if step.replan:
             self._blocked_since = now  # or it would start recovery again
             self._recovered = self._plan(now, pose, np.zeros(3))
@@ -375,23 +334,9 @@ class Navigator:
 
     # --- inside ----------------------------------------------------------------------------------
 
-    def _costs(self) -> Costmap:
-        """The inflated map with the live obstacles."""
-        if self._costmap is None or self._stale_costs:
-            self._costmap = inflate(
-                self.layer.states(), self._map.resolution, self._map.origin, self._wide
-            )
-            self._stale_costs = False
-        return self._costmap
-
-    def _obstacles(self, now: float, way: Array, start: Array) -> Array:
-        """Rows as in `clearance` of what stands beside a way, and of what moves."""
-        way = np.vstack([start[:2], way]) if len(way) else start[None, :2]
-        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-        way = way[s <= self.teb.options.horizon + 1.0]
-        around = self._costs().obstacles_along(way, self.options.beside)
-        around = np.vstack([around, self.layer.moving.obstacles(now)])
-        return _shrunk(around, start, self.footprint)
+    def _beside(self, now: float, way: Array, start: Array) -> Array:
+        """What counts for a band along a way, rows as in `clearance`."""
+        return self.surroundings.along(now, way, start, self.teb.options.horizon + 1.0)
 
     def _end(self, outcome: str) -> None:
         assert self._goal is not None
@@ -404,7 +349,7 @@ class Navigator:
         self.route = Route()
         self._due = -math.inf
         self._brake = self._in_the_way = self._final = self._recovered = False
-        self._fresh, self._stale_costs, self._tries = False, True, 0
+        self._fresh, self._tries = False, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
         self._giving_up = ""
@@ -423,19 +368,3 @@ def _with_reserve(drive: DriveLimits, reserve: float) -> DriveLimits:
         acceleration=k * drive.acceleration,
         turn_acceleration=k * drive.turn_acceleration,
     )
-
-
-def _shrunk(obstacles: Array, pose: Array, footprint: Footprint) -> Array:
-    """Obstacles cut back to where the vehicle is not: it stands there, so they do not.
-
-    Cells are coarse and poses err; a few centimetres of a wall may seem to reach into the vehicle,
-    and what is guessed of a thing's far side may lie in it whole.
-    """
-    out = obstacles.copy() if len(obstacles) else no_obstacles()
-    kept = np.ones(len(out), dtype=bool)
-    for k in range(len(out)):
-        free = room(pose, footprint, out[k : k + 1])
-        if free < 0.01:
-            out[k, RADIUS] = max(out[k, RADIUS] + free - 0.01, 0.0)
-            kept[k] = room(pose, footprint, out[k : k + 1]) > 0
-    return out[kept]
