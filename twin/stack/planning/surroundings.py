@@ -8,6 +8,7 @@ from twin.geometry import Array
 from twin.messages import Goal, LidarScan, RgbdFrame
 from twin.stack.config import StackConfig
 from twin.stack.estimation.obstacle_layer import ObstacleLayer
+from twin.stack.estimation.occupancy_grid import OCCUPIED
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning.clearance import RADIUS, Footprint, no_obstacles, room
 from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
@@ -54,7 +55,7 @@ class Surroundings:
         """Another map from now on; unknown cells may be crossed or not."""
         self._map, self.unknown_ok = site_map, unknown_ok
         self.layer.set_map(site_map.states, site_map.resolution, site_map.origin)
-        self._costs: Costmap | None = None
+        self._changed()
 
     def set_belief(self, config: StackConfig) -> None:
         """Other places of the sensors from now on; what was seen by the old ones is forgotten."""
@@ -80,13 +81,13 @@ class Surroundings:
         """Take a scan or a depth picture; whether it was of use."""
         if self.layer.hear(reading, pose_at_exposure) is not None:
             return False
-        self._costs = None
+        self._changed()
         return True
 
     def forget(self, pose: Array, keep: float) -> None:
         """Forget what was seen farther than `keep` m from a pose."""
         self.layer.forget(pose, keep)
-        self._costs = None
+        self._changed()
 
     def costs(self) -> Costmap:
         """The inflated map with the live obstacles."""
@@ -94,6 +95,18 @@ class Surroundings:
             here = self._map
             self._costs = inflate(self.layer.states(), here.resolution, here.origin, self._wide)
         return self._costs
+
+    def _solid(self) -> Costmap:
+        """What stands there alone, not inflated: asked for at each reading, it must be cheap."""
+        if self._lethal is None:
+            here, solid = self._map, self.layer.states() == OCCUPIED
+            cells = np.where(solid, np.uint8(LETHAL), np.uint8(0))
+            self._lethal = Costmap(cells, here.resolution, here.origin)
+        return self._lethal
+
+    def _changed(self) -> None:
+        self._costs: Costmap | None = None
+        self._lethal: Costmap | None = None
 
     def costs_with_lanes(self, now: float) -> Costmap:
         """Likewise, where what moves is going dearer."""
@@ -115,13 +128,13 @@ class Surroundings:
         """
         way = np.vstack([start[:2], way]) if len(way) else start[None, :2]
         s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-        around = self.costs().obstacles_along(way[s <= length], self.options.beside)
+        around = self._solid().obstacles_along(way[s <= length], self.options.beside)
         around = np.vstack([around, self.layer.moving.obstacles(now)])
         return shrunk(around, start, self._footprint)
 
     def about(self, now: float, pose: Array) -> Array:
         """Rows as in `clearance` of what stands and moves about a pose."""
-        near = self.costs().obstacles(pose, self.options.about)
+        near = self._solid().obstacles(pose, self.options.about)
         near = np.vstack([near, self.layer.moving.obstacles(now)])
         return shrunk(near, pose, self._footprint)
 
