@@ -27,16 +27,11 @@ from twin.stack.planning.clearance import (
     room,
     standing,
 )
+from twin.stack.planning.teb_check import fault, room_fault, rooms_kept, shares
+from twin.stack.planning.teb_retime import retimed
 from twin.stack.planning.teb_seeds import PASSES, bent, headings, smoothed, spaced, timed
 from twin.stack.planning.teb_solver import Weights, limits_of, optimise, resized
-from twin.stack.planning.teb_trajectory import (
-    Trajectory,
-    fault,
-    retimed,
-    room_fault,
-    rooms_kept,
-    shares,
-)
+from twin.stack.planning.teb_trajectory import Trajectory
 
 
 @dataclass(frozen=True)
