@@ -38,6 +38,8 @@ class Tolerances(Strict):
     scale: Annotated[float, Field(ge=0.0, le=5.0)] = 1.0
     dock_xy: Annotated[float, Field(ge=0.0, le=0.1)] = 0.010
     dock_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3
+    wall_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.005  # +-m, walls and partitions
+    machine_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.003  # +-m, belt, stations, stand
     rack_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.004  # 1 sigma, m
     tag_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.002  # 1 sigma, m
     tag_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # 1 sigma
