@@ -57,8 +57,7 @@ class Simulation:
             self._page = log.metrics
             watchers.append(log)
         if request.log:
-            path = request.out / "readings.log"
-            watchers.append(ReadingsLog(path, layout.site, layout.options))
+            watchers.append(ReadingsLog(request.out / "readings.log", self.config))
         if request.viewer:
             watchers.append(LiveViewer(self.plant.world))
         self._watchers = watchers
