@@ -37,6 +37,8 @@ MISPLACED, ASKEW = (0.05, 0.20), 0.05  # m, rad: by which a misplaced one is off
 CRITERIA = [
     Criterion("delivered", "==", 1.0),
     Criterion("qr_pose_error_p95_mm", "<=", 10.0),
+    Criterion("ape_aisle_rmse_m", "<=", 0.03),
+    Criterion("ape_aisle_rmse_lidar_m", "<=", 0.03),
     Criterion("collisions", "==", 0.0),
 ]
 
@@ -59,7 +61,8 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     result, lidar = _transport(request, _with_tags(layout, True)), first.metrics
     metrics = {
         **result.metrics,
-        "lidar_pose_error_p95_mm": lidar["over_tags_error_p95_mm"],
+        "ape_aisle_rmse_lidar_m": lidar["ape_aisle_rmse_m"],
+        "over_tags_error_p95_lidar_mm": lidar["over_tags_error_p95_mm"],
         "transport_time_lidar_s": lidar["transport_time_s"],
         "delivered_lidar": lidar["delivered"],
         "placement_error_lidar_mm": lidar["placement_error_mm"],
