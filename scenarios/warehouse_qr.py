@@ -116,8 +116,11 @@ def with_faults(layout: Layout, rng: np.random.Generator) -> Layout:
     x, y, yaw = (float(v) for v in compose2((*start, along), (ahead, side * BESIDE, 0.0)))
     obstacle = Obstacle(kind=kind, pose=(x, y, yaw), near=near)  # type: ignore[arg-type]
     shift, turn = rng.uniform(*MISPLACED), rng.uniform(-np.pi, np.pi)
+    faults = layout.world.faults
+    faulty = {fault.tag for fault in faults.tags}
+    whole = [tag.name for tag in way[1:-2] or way[:1] if tag.name not in faulty]
     tag = TagFault(
-        tag=str(rng.choice([tag.name for tag in way[1:-2] or way[:1]])),
+        tag=str(rng.choice(whole or [way[0].name])),
         kind=str(rng.choice(("misplaced", "damaged", "foreign"))),  # type: ignore[arg-type]
         shift=(
             float(shift * np.cos(turn)),
@@ -125,8 +128,10 @@ def with_faults(layout: Layout, rng: np.random.Generator) -> Layout:
             float(rng.uniform(-ASKEW, ASKEW)),
         ),
     )
-    faults = layout.world.faults
-    more = {"obstacles": (*faults.obstacles, obstacle), "tags": (*faults.tags, tag)}
+    more = {
+        "obstacles": (*faults.obstacles, obstacle),
+        "tags": (*faults.tags, tag) if whole else faults.tags,
+    }
     world = layout.world.model_copy(update={"faults": faults.model_copy(update=more)})
     return layout.model_copy(update={"world": world})
 

@@ -49,6 +49,14 @@ def test_transport_follows_the_drawing_to_any_rack(file, rack):
         assert drawn.world.faults.tags[0].tag in [tag.name for tag in way[:-1]]
 
 
+def test_a_tag_has_one_fault_alone():
+    fault = 'world.faults.tags=[{tag="W4", kind="damaged"}, {tag="W3", kind="foreign"}]'
+    for seed in range(8):
+        layout = load_layout(None, (fault,))
+        faults = warehouse_qr.with_faults(layout, np.random.default_rng([seed, 2])).world.faults
+        assert len({f.tag for f in faults.tags}) == len(faults.tags) == 3
+
+
 @pytest.mark.parametrize(
     "overrides, said",
     [

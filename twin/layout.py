@@ -78,6 +78,13 @@ class WetPatch(Strict):
     y: Interval
     friction: Annotated[float, Field(ge=0.005, le=1.0)] = 0.04
 
+    @model_validator(mode="after")
+    def _intervals_rise(self):
+        for name, (low, high) in (("x", self.x), ("y", self.y)):
+            if low >= high:
+                raise ValueError(f"{name}: [{low}, {high}] must go from low to high")
+        return self
+
 
 class TagFault(Strict):
     """A floor tag that is stuck down elsewhere, torn, or printed for another place."""
@@ -139,6 +146,8 @@ class Options(Strict):
     tags: bool = True  # floor tags correct the pose
     start_known: bool = True  # the vehicle is told that it starts in its dock
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
+    calibration: str | None = None  # its calibration.json: where the depth camera really hangs
+    motion_model: Literal["omni", "turn_path_turn"] = "omni"  # of AMCL's particles
 
 
 class Layout(Strict):
@@ -155,10 +164,13 @@ class Layout(Strict):
 
     @model_validator(mode="after")
     def _faults_name_what_there_is(self):
-        known = [tag.name for tag in self.site.tags]
+        known, seen = [tag.name for tag in self.site.tags], set()
         for fault in self.world.faults.tags:
             if fault.tag not in known:
                 raise ValueError(f"world.faults.tags: no tag '{fault.tag}' in the drawing")
+            if fault.tag in seen:
+                raise ValueError(f"world.faults.tags: two faults of tag '{fault.tag}'")
+            seen.add(fault.tag)
         return self
 
     @model_validator(mode="after")
