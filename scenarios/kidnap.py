@@ -10,8 +10,10 @@ from itertools import permutations
 
 import numpy as np
 
+from evaluation.belief import belief
 from evaluation.kidnaps import LIMIT, KidnapMonitor
 from evaluation.localisation import LocalisationMonitor
+from evaluation.particles import GRAIN, ParticleComparison
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.floor_plan import FOOTPRINT, machines
@@ -35,6 +37,7 @@ CRITERIA = [
     Criterion("wrong_places", "==", 0.0),
     Criterion("collisions", "==", 0.0),
     Criterion("kld_particle_ratio", ">=", 5.0),
+    Criterion("ape_kld_excess_mm", "<=", GRAIN),
 ]
 
 Pose = tuple[float, float, float]
@@ -48,7 +51,11 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     floor = Floor(layout.site)
     kidnaps, poses = KidnapMonitor(), LocalisationMonitor(layout.site)
     order = DriveOrder(0.0, draw_goals(layout.site, rng))
-    with Simulation(request, layout, order, observers=(kidnaps, poses)) as sim:
+    config = belief(layout)
+    particles = ParticleComparison(config, lambda: kidnaps.searching is not None)
+    observers = (kidnaps, poses, particles)
+    with Simulation(request, layout, order, observers, config) as sim:
+        particles.odometry = sim.stack.localiser.fused.history.at
         due = 0.0  # when the vehicle may be carried off again
         start = np.nan  # when it knew where it is
 
@@ -83,6 +90,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
             **kidnaps.metrics(),
             "start_found_s": start,
             "kld_particle_ratio": poses.particle_ratio(),
+            **particles.metrics(),
             "collisions": float(len(sim.plant.world.collisions)),
         }
         return sim.result(metrics, CRITERIA, complete, kidnaps.notes)
