@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+from evaluation.belief import belief
 from evaluation.report import metrics_page
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
-from twin.layout import Layout, LayoutError
+from twin.layout import Layout
 from twin.loop import Loop, Observer, Tick
 from twin.messages import AnyOrder
 from twin.plant.live_viewer import LiveViewer
 from twin.plant.plant import Plant
 from twin.recording.log import ReadingsLog
 from twin.recording.viewer_log import ViewerLog
-from twin.stack.config import StackConfig, nominal_config
+from twin.stack.config import StackConfig
 from twin.stack.control_unit import ControlUnit
 from twin.stack.stack import Stack
 
@@ -27,8 +28,11 @@ class Simulation:
         layout: what stands where, and what goes wrong.
         order: sent to the stack at the start; without one the layout's pick order.
         observers: called after every tick; the paths are always followed.
-        config: the stack's belief; the nominal drawing without one.
+        config: the stack's belief; that of the layout without one.
         counts: numbers for the recording's plots, by name.
+
+    Raises:
+        LayoutError: the layout cannot be built, or names a file that cannot be used.
     """
 
     def __init__(
@@ -41,13 +45,9 @@ class Simulation:
         counts: Callable[[], Mapping[str, float]] = dict,
     ):
         self.request = request
-        self.config = config or nominal_config(layout.site, layout.options)
+        self.config = config or belief(layout)
         self.plant = Plant(layout, request.seed, order)
-        try:
-            self.stack = Stack(self.config)
-        except ValueError as error:  # a map that cannot be read
-            self.plant.close()
-            raise LayoutError(f"options.map: {error}") from None
+        self.stack = Stack(self.config)
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None
@@ -57,8 +57,7 @@ class Simulation:
             self._page = log.metrics
             watchers.append(log)
         if request.log:
-            path = request.out / "readings.log"
-            watchers.append(ReadingsLog(path, layout.site, layout.options))
+            watchers.append(ReadingsLog(request.out / "readings.log", self.config))
         if request.viewer:
             watchers.append(LiveViewer(self.plant.world))
         self._watchers = watchers

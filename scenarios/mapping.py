@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from evaluation.ape import pose_errors
+from evaluation.belief import belief
 from evaluation.map_truth import map_truth
 from evaluation.maps import map_metrics, write_pictures
+from evaluation.places import check_places
 from evaluation.run import Criterion, RunRequest, RunResult, Trajectory
 from evaluation.simulation import Simulation
 from twin.geometry import Array, compose2, inverse, rot_z, transform
@@ -100,10 +102,15 @@ CRITERIA = [
 
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
-    """One run along the whole route."""
+    """One run along the whole route.
+
+    Raises:
+        LayoutError: the drawing has something where the route or an obstacle is.
+    """
+    check_places("mapping", layout.site, ROUTE)
     rng = np.random.default_rng([request.seed, 3])
     layout = with_obstacles(layout, rng)
-    config = with_wrong_camera(nominal_config(layout.site, layout.options), rng)
+    config = with_wrong_camera(belief(layout), rng)
     order = MapOrder(0.0, tuple(Goal(name, pose) for name, pose in ROUTE))
     free = FreeMapper(config)
     with Simulation(request, layout, order, (free,), config) as sim:

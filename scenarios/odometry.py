@@ -10,6 +10,7 @@ import numpy as np
 
 from evaluation.ape import pose_errors
 from evaluation.odometry import Aisle, CourseMonitor
+from evaluation.places import check_way
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.layout import Layout, WetPatch
@@ -56,7 +57,12 @@ CRITERIA = [
 
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
-    """One run over the course."""
+    """One run over the course.
+
+    Raises:
+        LayoutError: the drawing has something on the course.
+    """
+    check_way("odometry", layout.site, (layout.site.dock, *ROUTE))
     wet = layout.world.faults.wet or patches(np.random.default_rng([request.seed, 1]))
     faults = layout.world.faults.model_copy(update={"wet": wet})
     world = layout.world.model_copy(update={"faults": faults})

@@ -1,5 +1,7 @@
 """A vehicle put down and photographed from below, without a step of physics."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from twin.geometry import Array, between2, rot2
@@ -16,14 +18,17 @@ HALF_CODE = 0.052  # m: half of a code and a pixel
 
 
 class FloorBench:
-    """The default plant, by default exactly as drawn."""
+    """The default plant, by default exactly as drawn; `built` replaces fields of `AsBuilt`."""
 
-    def __init__(self, *overrides: str, exact: bool = True, noise: float = 1.0, seed: int = 0):
+    def __init__(
+        self, *overrides: str, exact: bool = True, noise: float = 1.0, seed: int = 0, **built
+    ):
         if exact:
             overrides = ("world.tolerances.scale=0", *overrides)
         self.layout: Layout = load_layout(overrides=overrides)
         self.config = nominal_config(self.layout.site, self.layout.options)
-        self.as_built = AsBuilt.draw(np.random.default_rng(seed), self.layout.world.tolerances)
+        drawn = AsBuilt.draw(np.random.default_rng(seed), self.layout.world.tolerances)
+        self.as_built = replace(drawn, **built)
         self.world = World(self.layout, self.as_built, pool=1)
         self._worker = RenderWorker(self.world.model)
         rng = np.random.default_rng(seed)

@@ -119,6 +119,13 @@ def test_overlap_of_turned_rectangles():
         (f"site.racks=[{rack(1, 14.2)}]", "rack 1: reaches outside the hall"),
         ('site.tags=[{name = "A1", pose = [1, 1, 0], next = ["A2"]}]', "'?A2'? does not exist"),
         ('world.faults.tags=[{tag = "Z9", kind = "damaged"}]', "no tag 'Z9'"),
+        (
+            'world.faults.tags=[{tag = "M1", kind = "damaged"}, {tag = "M1", kind = "foreign"}]',
+            "two faults of tag 'M1'",
+        ),
+        ("world.faults.wet=[{x = [4.0, 1.6], y = [-1.0, 1.0]}]", "x: .4.0, 1.6. must go from low"),
+        ("world.faults.wet=[{x = [1.6, 4.0], y = [1.0, 1.0]}]", "y: .* must go from low to high"),
+        ('options.motion_model="diff"', "'omni' or 'turn_path_turn'"),
         ('world.faults.obstacles=[{kind = "bus", pose = [1, 1, 0]}]', "carton"),
         (
             'world.faults.obstacles=[{kind = "table", pose = [1, 1, 0], size = 3}]',

@@ -194,7 +194,8 @@ def test_broken_model_is_one_clear_line(copied_models):
 @pytest.mark.parametrize(("length", "width", "height"), [(2.5, 0.2, 0.7), (2.2, 0.26, 0.72)])
 def test_line_takes_the_layouts_size(length, width, height):
     sizes = {"length": length, "width": width, "height": height}
-    layout = load_layout(None, tuple(f"site.line.{k}={v}" for k, v in sizes.items()))
+    drawn = (*(f"site.line.{k}={v}" for k, v in sizes.items()), "world.tolerances.scale=0")
+    layout = load_layout(None, drawn)
     as_built = AsBuilt.draw(np.random.default_rng(0), layout.world.tolerances)
     model = factory.build(layout, as_built, pool=1).compile()
     data = mujoco.MjData(model)

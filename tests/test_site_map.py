@@ -1,5 +1,8 @@
 """Maps of the drawing against rays cast in the compiled model, and map files that are broken."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -136,11 +139,14 @@ def test_turned_boxes_fill_the_cells_they_reach():
     )
 
 
+HALL = SimpleNamespace(hall=SimpleNamespace(x=(-1.0, 1.0), y=(2.0, 3.5)))  # 40 x 30 cells
+
+
 def test_map_file_there_and_back(tmp_path):
     log_odds = np.zeros((30, 40), dtype=np.float32)
     log_odds[5:20, 5:30], log_odds[5, 5:30] = -3.0, 3.0
     save_map(OccupancyGrid(np.array([-1.0, 2.0]), 0.05, log_odds), tmp_path / "m.yaml")
-    read = load_site_map(tmp_path / "m.yaml")
+    read = load_site_map(tmp_path / "m.yaml", HALL)
     assert read.occupied.sum() == 25 and read.free.sum() == 14 * 25
     np.testing.assert_allclose(read.origin, (-1.0, 2.0))
     assert read.likelihood_field(1.0).distances.shape == (30, 40)
@@ -149,7 +155,7 @@ def test_map_file_there_and_back(tmp_path):
 @pytest.mark.parametrize("broken", ["truncated", "larger", "missing", "nothing free"])
 def test_a_broken_map_file_is_refused_in_one_line(tmp_path, broken):
     log_odds = np.full((30, 40), 3.0 if broken == "nothing free" else -3.0, dtype=np.float32)
-    save_map(OccupancyGrid(np.zeros(2), 0.05, log_odds), tmp_path / "m.yaml")
+    save_map(OccupancyGrid(np.array([-1.0, 2.0]), 0.05, log_odds), tmp_path / "m.yaml")
     pgm = tmp_path / "m.pgm"
     if broken == "truncated":
         pgm.write_bytes(pgm.read_bytes()[:-7])
@@ -158,5 +164,23 @@ def test_a_broken_map_file_is_refused_in_one_line(tmp_path, broken):
     elif broken == "missing":
         pgm.unlink()
     with pytest.raises(ValueError, match=r"m\.(pgm|yaml)") as error:
-        load_site_map(tmp_path / "m.yaml")
+        load_site_map(tmp_path / "m.yaml", HALL)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "origin, resolution, said",
+    [
+        ((-1.0, 2.0), 1e-4, "resolution 0.0001 m, wanted 0.01 to 0.2"),
+        ((-1.0, 2.0), 5.0, "resolution 5.0 m"),
+        ((-1.0, 2.0), 0.02, "of another hall: x from -1.00 to -0.20 m, drawn is -1.00 to 1.00 m"),
+        ((-1.0, 2.0), 0.19, "of another hall: x from -1.00 to 6.60"),
+        ((-1.0, -9.0), 0.05, "of another hall: y from -9.00"),
+    ],
+)
+def test_a_map_of_another_hall_is_refused_in_one_line(tmp_path, origin, resolution, said):
+    log_odds = np.full((30, 40), -3.0, dtype=np.float32)
+    save_map(OccupancyGrid(np.array(origin), resolution, log_odds), tmp_path / "m.yaml")
+    with pytest.raises(ValueError, match=re.escape(said)) as error:
+        load_site_map(tmp_path / "m.yaml", HALL)
     assert "\n" not in str(error.value)

@@ -102,7 +102,7 @@ def tick(t: float):
 def record(folder: Path, seconds: float, close: bool = True) -> None:
     layout, cell = load_layout(), Cell()
     config = StackConfig(layout.site, layout.options)
-    log = ReadingsLog(folder / "readings.log", config.site, config.options)
+    log = ReadingsLog(folder / "readings.log", config)
     viewer = ViewerLog(folder / "recording.rrd", cell, config, lambda: {"attempts": 2.0})
     for k in range(round(seconds * 100)):
         now = tick(k * 0.01)

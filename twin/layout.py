@@ -38,6 +38,8 @@ class Tolerances(Strict):
     scale: Annotated[float, Field(ge=0.0, le=5.0)] = 1.0
     dock_xy: Annotated[float, Field(ge=0.0, le=0.1)] = 0.010
     dock_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3
+    wall_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.005  # +-m, walls and partitions
+    machine_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.003  # +-m, belt, stations, stand
     rack_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.004  # 1 sigma, m
     tag_xy: Annotated[float, Field(ge=0.0, le=0.05)] = 0.002  # 1 sigma, m
     tag_yaw_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # 1 sigma
@@ -75,6 +77,13 @@ class WetPatch(Strict):
     x: Interval
     y: Interval
     friction: Annotated[float, Field(ge=0.005, le=1.0)] = 0.04
+
+    @model_validator(mode="after")
+    def _intervals_rise(self):
+        for name, (low, high) in (("x", self.x), ("y", self.y)):
+            if low >= high:
+                raise ValueError(f"{name}: [{low}, {high}] must go from low to high")
+        return self
 
 
 class TagFault(Strict):
@@ -157,6 +166,8 @@ class Options(Strict):
     tags: bool = True  # floor tags correct the pose
     start_known: bool = True  # the vehicle is told that it starts in its dock
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
+    calibration: str | None = None  # its calibration.json: where the depth camera really hangs
+    motion_model: Literal["omni", "turn_path_turn"] = "omni"  # of AMCL's particles
 
 
 class Layout(Strict):
@@ -173,10 +184,13 @@ class Layout(Strict):
 
     @model_validator(mode="after")
     def _faults_name_what_there_is(self):
-        known = [tag.name for tag in self.site.tags]
+        known, seen = [tag.name for tag in self.site.tags], set()
         for fault in self.world.faults.tags:
             if fault.tag not in known:
                 raise ValueError(f"world.faults.tags: no tag '{fault.tag}' in the drawing")
+            if fault.tag in seen:
+                raise ValueError(f"world.faults.tags: two faults of tag '{fault.tag}'")
+            seen.add(fault.tag)
         return self
 
     @model_validator(mode="after")

@@ -15,7 +15,12 @@ from twin.geometry import Array, rot_x, rot_y, rot_z, transform
 WHEEL_RADIUS = 0.00008  # m, 1 sigma: ground rollers, 0.1 mm class
 HALF_TRACK = 0.0005  # m, 1 sigma: welded frame
 CAMERA_POSITION, CAMERA_ANGLE = 0.0003, 0.0005  # m, rad: after hand-eye calibration
-CAMERA_FOCAL = 0.0005  # relative: after intrinsic calibration
+# Relative, of all cameras: after intrinsic calibration. Zhang 2000, Table 1, leaves 0.17 % of the
+# focal length and 0.7 px of the principal point at 640 columns from five pictures; a maker's forty
+# leave a third of that.
+CAMERA_FOCAL = 0.0005
+CAMERA_CENTRE = 0.25 / 640  # of the picture's width, 1 sigma along u and v
+RGBD_WIDTH, TAG_CAMERA_WIDTH = 424, 320  # px
 TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE = 0.0005, 0.001  # m, rad: after extrinsic calibration
 MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
 ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
@@ -34,7 +39,11 @@ class AsBuilt:
     arm_joint_zero: Array  # (2, 6) rad: encoder reads true angle plus this
     dock: Array  # (3,) x, y, yaw added to the drawn dock pose
     tag_camera_mount: Array  # (4, 4)
-    floor_seed: int  # of how the floor tags are stuck down
+    floor_seed: int  # of how the floor tags are stuck down and walls and machines set up
+    rgbd_focal: float  # factor
+    rgbd_centre: Array  # (2,) px, u and v of the principal point off the picture's middle
+    tag_camera_focal: float  # factor
+    tag_camera_centre: Array  # (2,) px
 
     @classmethod
     def draw(cls, rng: np.random.Generator, tolerances) -> "AsBuilt":
@@ -61,4 +70,8 @@ class AsBuilt:
             ),
             tag_camera_mount=mount(TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE),
             floor_seed=int(rng.integers(1 << 32)),
+            rgbd_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
+            rgbd_centre=rng.normal(0, k * CAMERA_CENTRE * RGBD_WIDTH, 2),
+            tag_camera_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
+            tag_camera_centre=rng.normal(0, k * CAMERA_CENTRE * TAG_CAMERA_WIDTH, 2),
         )

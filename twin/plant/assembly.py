@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from twin.geometry import Array
 from twin.site import Pose2
 
 FLOOR, STANDING, VEHICLE, ARM, PART = 1, 2, 4, 8, 16  # bits of the collision masks
@@ -31,13 +32,15 @@ MASKS = {
 }
 
 
-def attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Pose2, prefix: str, mask: Mask) -> None:
+def attach(
+    spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Array | Pose2, prefix: str, mask: Mask
+) -> None:
     """Put a model on the floor, its frame at `pose` in world, under names with a prefix."""
     set_masks(child, mask)
     spec.attach(child, frame=floor_frame(spec, pose), prefix=prefix)
 
 
-def floor_frame(spec: mujoco.MjSpec, pose: Pose2):
+def floor_frame(spec: mujoco.MjSpec, pose: Array | Pose2):
     """A frame on the floor at x, y, yaw in world."""
     half = pose[2] / 2
     return spec.worldbody.add_frame(

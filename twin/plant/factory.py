@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from twin.geometry import inverse, quat_wxyz, rot_x, rotation_from_quat, transform
+from twin.geometry import Array, inverse, quat_wxyz, rot_x, rotation_from_quat, transform
 from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
@@ -16,8 +16,9 @@ from twin.plant.hall import hall
 from twin.plant.model_files import load_model
 from twin.plant.obstacles import add_movers, add_obstacles
 from twin.plant.parcel import add_parcel
+from twin.plant.site_as_built import SiteAsBuilt
 from twin.plant.warehouse import add_warehouse
-from twin.site import Line, Pose2
+from twin.site import Line
 
 SPARE = 5  # parts of each class in the feeder's store beyond those that are ordered
 WHEELS = ("fl", "fr", "rl", "rr")
@@ -45,24 +46,29 @@ def build(
     """
     root = models or models_dir()
     check_faults(layout)
-    spec = hall(layout)
+    built = SiteAsBuilt(layout.world.tolerances, as_built.floor_seed)
+    spec = hall(layout, built)
     add_floor_tags(spec, layout, as_built.floor_seed)
     line = load_model(root, "line/line.xml")
     _resize_line(line, layout.site.line)
     line.geom("belt").friction[0] = layout.world.line.friction
     origin = (*layout.site.line.origin, layout.site.line.direction)
-    attach(spec, line, origin, "line/", MASKS["standing"])
-    for name, pose in (("receiving", layout.site.receiving), ("dock", layout.site.dock)):
+    attach(spec, line, built.machine("belt", origin), "line/", MASKS["standing"])
+    dock = built.machine("dock", layout.site.dock)
+    for name, pose in (
+        ("receiving", built.machine("receiving", layout.site.receiving)),
+        ("dock", dock),
+    ):
         station = load_model(root, f"station/{name}.xml")
         attach(spec, station, pose, f"{name}/", MASKS["standing"])
-    add_warehouse(spec, layout, as_built.floor_seed, root)
-    _attach_vehicle(spec, root, layout.site.dock, as_built)
+    add_warehouse(spec, layout, as_built.floor_seed, built, root)
+    _attach_vehicle(spec, root, dock, as_built)
     add_obstacles(spec, layout.world.faults.obstacles, root)
     add_movers(spec, layout.world.faults.movers, root)
     store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)
     _attach_parts(spec, root, store)
     if parcel:
-        add_parcel(spec, layout, as_built.floor_seed, root)
+        add_parcel(spec, layout, as_built.floor_seed, built, root)
     return spec
 
 
@@ -94,10 +100,10 @@ def _resize_line(spec: mujoco.MjSpec, line: Line) -> None:
             geom.pos[1] += np.sign(geom.pos[1]) * dw
 
 
-def _attach_vehicle(spec: mujoco.MjSpec, root: Path, dock: Pose2, as_built: AsBuilt) -> None:
+def _attach_vehicle(spec: mujoco.MjSpec, root: Path, dock: Array, as_built: AsBuilt) -> None:
     agv = load_model(root, "agv/agv.xml")
     _deviate(agv, as_built)
-    attach(spec, agv, tuple(np.asarray(dock) + as_built.dock), "agv/", MASKS["vehicle"])
+    attach(spec, agv, dock + as_built.dock, "agv/", MASKS["vehicle"])
     for i in range(2):
         arm = load_model(root, "arm/arm.xml")
         set_masks(arm, MASKS["arm"])
@@ -117,10 +123,27 @@ def _deviate(agv: mujoco.MjSpec, as_built: AsBuilt) -> None:
     _move(agv.body("mast_camera"), flip @ as_built.camera_mount @ inverse(flip))
     _move(agv.body("rgbd"), flip @ as_built.rgbd_mount @ inverse(flip))
     _move(agv.body("tag_camera"), flip @ as_built.tag_camera_mount @ inverse(flip))
-    camera = agv.camera("mast_camera")
+    _set_intrinsics(agv.camera("mast_camera"), as_built.camera_focal, np.zeros(2))
+    _set_intrinsics(agv.camera("rgbd"), as_built.rgbd_focal, as_built.rgbd_centre)
+    _set_intrinsics(agv.camera("tag_camera"), as_built.tag_camera_focal, as_built.tag_camera_centre)
+
+
+def _set_intrinsics(camera, focal: float, centre: Array) -> None:
+    """Give a camera the lens that it was built with.
+
+    Args:
+        camera: as drawn, by its field of view.
+        focal: factor on the drawn focal length.
+        centre: u and v by which the principal point lies off the middle of the picture, px.
+    """
+    width, height = (int(v) for v in camera.resolution)
     # a longer focal length f = h / (2 tan(fovy / 2)) narrows the view
-    half = np.tan(np.radians(camera.fovy) / 2) / as_built.camera_focal
-    camera.fovy = float(np.degrees(2 * np.arctan(half)))
+    pixels = focal * 0.5 * height / np.tan(np.radians(camera.fovy) / 2)
+    camera.fovy = float(np.degrees(2 * np.arctan(0.5 * height / pixels)))
+    if np.any(centre):
+        camera.sensor_size = 1e-6 * np.array([width, height])  # pixels of a micrometre
+        camera.focal_pixel = (pixels, pixels)
+        camera.principal_pixel = -centre  # MuJoCo has the picture move against it
 
 
 def _move(element, T_drawn_true) -> None:

@@ -48,13 +48,14 @@ class Feeder:
 
     Args:
         world: the compiled cell.
-        layout: gives rate, spacing, lateral spread and the line.
+        layout: gives rate, spacing, lateral spread and the size of the line.
         rng: draws times, classes, yaws and offsets.
     """
 
     def __init__(self, world: World, layout: Layout, rng: np.random.Generator):
         self._world, self._rng = world, rng
         self._line, self._settings = layout.site.line, layout.world.feeder
+        self._frame = world.belt_frame()  # it hangs on the belt, wherever that was set up
         m = world.model
         self._belt = m.geom("line/belt").id
         self._parts: dict[str, tuple[int, int]] = {}  # name -> address of qpos, of qvel
@@ -110,8 +111,8 @@ class Feeder:
         source: Source = "store" if part in self._stored else "bin"
         yaw = self._rng.uniform(-np.pi, np.pi)
         lateral = self._rng.uniform(-self._settings.lateral, self._settings.lateral)
-        along = rot2(self._line.direction)
-        xy = np.asarray(self._line.origin) + along @ (DROP_POINT, lateral)
+        along = rot2(self._frame[2])
+        xy = self._frame[:2] + along @ (DROP_POINT, lateral)
         velocity = along @ (speed, 0.0)
         self._world.place_part(
             part,
@@ -133,8 +134,7 @@ class Feeder:
     def _past_end(self, part: str) -> bool:
         q, _ = self._parts[part]
         x, y, z = self._world.data.qpos[q : q + 3]
-        offset = np.array([x, y]) - self._line.origin
-        u, v = rot2(self._line.direction).T @ offset
+        u, v = rot2(self._frame[2]).T @ ((x, y) - self._frame[:2])
         beyond = self._line.length < u < self._line.length + BIN_LENGTH
         return bool(
             beyond and abs(v) < self._line.width and 0.1 < z < self._line.height - BIN_DEPTH

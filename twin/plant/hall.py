@@ -6,12 +6,18 @@ import numpy as np
 from twin.floor_plan import PANEL
 from twin.layout import Layout
 from twin.plant.assembly import FLOOR, STANDING
+from twin.plant.site_as_built import SiteAsBuilt
 
 WALL_HEIGHT = 1.1  # m, a cell's partition
 
 
-def hall(layout: Layout) -> mujoco.MjSpec:
-    """A world with floor, walls, partitions and lamps, into which the machines are put."""
+def hall(layout: Layout, built: SiteAsBuilt) -> mujoco.MjSpec:
+    """A world with floor, walls, partitions and lamps, into which the machines are put.
+
+    Args:
+        layout: its drawing.
+        built: how far walls and partitions stand off that.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = "cell"
     spec.compiler.degree = False
@@ -74,22 +80,26 @@ def hall(layout: Layout) -> mujoco.MjSpec:
     for name, pos, size in (
         ("west", (x0 - t, cy, h), (t, hy + 2 * t, h)),
         ("east", (x1 + t, cy, h), (t, hy + 2 * t, h)),
-        ("south", (cx, y0 - t, h), (hx, t, h)),
-        ("north", (cx, y1 + t, h), (hx, t, h)),
+        ("south", (cx, y0 - t, h), (hx + 2 * t, t, h)),
+        ("north", (cx, y1 + t, h), (hx + 2 * t, t, h)),
     ):
-        _add_wall(world, name, pos, size)
+        _add_wall(world, name, pos, size, built.wall(name))
     for i, (ax, ay, bx, by) in enumerate(layout.site.hall.partitions):
         middle, length = ((ax + bx) / 2, (ay + by) / 2, h), np.hypot(bx - ax, by - ay)
         size = (length / 2, PANEL / 2, h)
-        _add_wall(world, f"partition_{i}", middle, size, np.arctan2(by - ay, bx - ax), "partition")
+        off = built.wall(f"partition {i}")
+        yaw = float(np.arctan2(by - ay, bx - ax))
+        _add_wall(world, f"partition_{i}", middle, size, off, yaw, "partition")
     return spec
 
 
-def _add_wall(world, name: str, pos, size, yaw: float = 0.0, material: str = "wall") -> None:
+def _add_wall(world, name: str, pos, size, off, yaw: float = 0.0, material: str = "wall") -> None:
+    """A wall drawn at `pos` and `yaw`, really `off` (x, y, yaw) from there."""
+    (x, y, z), yaw = pos, yaw + off[2]
     world.add_geom(
         name=f"wall_{name}",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=pos,
+        pos=(x + off[0], y + off[1], z),
         quat=(np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)),
         size=size,
         material=material,

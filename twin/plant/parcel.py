@@ -11,6 +11,7 @@ from twin.layout import Layout
 from twin.plant.assembly import MASKS, set_masks
 from twin.plant.floor_tags import printed_code
 from twin.plant.model_files import load_model
+from twin.plant.site_as_built import SiteAsBuilt
 from twin.site import Pose2
 
 NAME = "part_parcel_0"  # of its body and free joint
@@ -20,13 +21,16 @@ PARCEL = 2  # stream of the floor's seed that is the parcel's
 QUIET = 2  # modules of light rim: the lid has no more
 
 
-def add_parcel(spec: mujoco.MjSpec, layout: Layout, floor_seed: int, root: Path) -> None:
+def add_parcel(
+    spec: mujoco.MjSpec, layout: Layout, floor_seed: int, built: SiteAsBuilt, root: Path
+) -> None:
     """Put the parcel of a transport order on the goods-in stand, not quite where it should lie.
 
     Args:
         spec: the world.
         layout: its drawing and `world.parcel`.
         floor_seed: of this floor: of how the parcel was put down.
+        built: where the stand is.
         root: folder of the models.
     """
     if layout.site.goods_in is None:
@@ -37,15 +41,19 @@ def add_parcel(spec: mujoco.MjSpec, layout: Layout, floor_seed: int, root: Path)
     texture = model.texture("goods_code")
     texture.height, texture.width, texture.nchannel = *code.shape, 3
     texture.data = np.repeat(code[:, :, None], 3, axis=2).tobytes()
-    x, y, yaw = parcel_pose(layout, layout.site.goods_in, floor_seed)
+    stand = built.machine("goods-in", layout.site.goods_in)
+    x, y, yaw = parcel_pose(layout, stand, floor_seed)
     frame = spec.worldbody.add_frame(pos=(x, y, FACE), quat=quat_wxyz(rot_z(yaw)))
     body = frame.attach_body(model.worldbody.first_body(), f"{NAME}/", "")
     body.name = NAME
     body.add_freejoint(name=NAME)
 
 
-def parcel_pose(layout: Layout, goods_in: Pose2, floor_seed: int) -> Array:
-    """Where the parcel lies: about its place, drawn by seed. x, y, yaw in world. Shape (3,)."""
+def parcel_pose(layout: Layout, goods_in: Array | Pose2, floor_seed: int) -> Array:
+    """Where the parcel lies: about its place on a stand served from `goods_in`, drawn by seed.
+
+    x, y, yaw in world. Shape (3,).
+    """
     drawn = layout.world.parcel
     rng = np.random.default_rng((floor_seed, PARCEL))
     most = np.array([drawn.xy, drawn.xy, np.radians(drawn.yaw_deg)])

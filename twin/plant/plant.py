@@ -80,7 +80,7 @@ class Plant:
             *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
             LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
             self._mast_camera,
-            RgbdCamera(self.renderer, noise[4], k),
+            RgbdCamera(self.renderer, noise[4], k, self.as_built.rgbd_focal),
             FloorCamera(self.renderer, model, noise[5], k),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)

@@ -10,6 +10,7 @@ from twin.geometry import Array
 from twin.layout import Layout, Tolerances
 from twin.plant.assembly import MASKS, attach
 from twin.plant.model_files import load_model
+from twin.plant.site_as_built import SiteAsBuilt
 from twin.site import Rack
 
 RACK_YAW = np.radians(0.2)  # rad, 1 sigma: 4 mm at each end of a rack of 2.4 m; guess
@@ -17,13 +18,16 @@ RACKS = 1  # stream of the floor's seed that is theirs
 PLATE_PIXELS = (96, 160)  # rows, columns of a number plate's print
 
 
-def add_warehouse(spec: mujoco.MjSpec, layout: Layout, floor_seed: int, root: Path) -> None:
+def add_warehouse(
+    spec: mujoco.MjSpec, layout: Layout, floor_seed: int, built: SiteAsBuilt, root: Path
+) -> None:
     """Put racks and goods-in stand into the world, under `rack<number>/` and `goods_in/`.
 
     Args:
         spec: the world.
         layout: its drawing and tolerances.
         floor_seed: of this floor: of how far each rack stands off the drawing.
+        built: where the stand is.
         root: folder of the models.
     """
     for i, rack in enumerate(layout.site.racks):
@@ -31,10 +35,11 @@ def add_warehouse(spec: mujoco.MjSpec, layout: Layout, floor_seed: int, root: Pa
         _print_number(model, rack.number)
         rng = np.random.default_rng((floor_seed, RACKS, i))
         pose = rack_pose(rack, layout.world.tolerances, rng)
-        attach(spec, model, tuple(pose), f"rack{rack.number}/", MASKS["standing"])
+        attach(spec, model, pose, f"rack{rack.number}/", MASKS["standing"])
     if layout.site.goods_in is not None:
         stand = load_model(root, "warehouse/stand.xml")
-        attach(spec, stand, layout.site.goods_in, "goods_in/", MASKS["standing"])
+        pose = built.machine("goods-in", layout.site.goods_in)
+        attach(spec, stand, pose, "goods_in/", MASKS["standing"])
 
 
 def rack_pose(rack: Rack, tolerances: Tolerances, rng: np.random.Generator) -> Array:

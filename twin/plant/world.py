@@ -195,6 +195,12 @@ class World:
 
     # --- truth -------------------------------------------------------------------------------
 
+    def belt_frame(self) -> Array:
+        """x, y, yaw in world of the belt's upstream end, as built; x along its way. Shape (3,)."""
+        R = self.data.geom_xmat[self._belt].reshape(3, 3)
+        start = self.data.geom_xpos[self._belt] - R[:, 0] * self.model.geom_size[self._belt, 0]
+        return np.array([*start[:2], np.arctan2(R[1, 0], R[0, 0])])
+
     @property
     def collisions(self):
         """Onsets of all collisions so far."""

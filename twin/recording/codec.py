@@ -1,4 +1,4 @@
-"""Messages as bytes and back, exactly: what is read equals what was written, bit for bit.
+"""Messages and beliefs as bytes and back, exactly: what is read equals what was written.
 
 A record is a JSON text and a payload. The text holds dataclasses by name and plain values; arrays
 stand in the payload, pictures as PNG (lossless), all others raw.
@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 
 from twin import messages
+from twin.stack import config
 
 _TYPES = {
     name: kind
-    for name, kind in vars(messages).items()
+    for name, kind in {**vars(config), **vars(messages)}.items()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind)
 }
 # Noise makes pictures hard to pack: the quick method loses nothing against the thorough one.

@@ -64,11 +64,11 @@ def drivable(config: StackConfig) -> SiteMap:
     """Where the vehicle can go: by the maps of an earlier run, else by the drawing.
 
     Raises:
-        ValueError: one line, for a map that cannot be read.
+        ValueError: one line, for a map that cannot be read or is not of this site.
     """
     if config.options.map is None:
         return floor_map(config.site)
-    return load_site_map(Path(config.options.map) / "fused.yaml")
+    return load_site_map(Path(config.options.map) / "fused.yaml", config.site)
 
 
 class Stack:

@@ -32,6 +32,7 @@ class RgbdCamera:
         worker: the cell's renderer.
         rng: source of the noise.
         noise_scale: factor on the noise of colour and depth; holes stay.
+        lens: true over calibrated focal length; disparities are taken for depth by the latter.
         camera: name of the camera in the model; its field of view gives the focal length.
     """
 
@@ -43,9 +44,11 @@ class RgbdCamera:
         worker: RenderWorker,
         rng: np.random.Generator,
         noise_scale: float = 1.0,
+        lens: float = 1.0,
         camera: str = "agv/rgbd",
     ):
         self._worker, self._rng, self._noise_scale = worker, rng, noise_scale
+        self._lens = lens
         self._view = View(camera, WIDTH, HEIGHT, GROUPS)
 
     def sample(self, stamp: float, model, data) -> Future[RgbdFrame]:
@@ -70,4 +73,4 @@ class RgbdCamera:
         kernel = np.ones((3, 3), np.uint8)
         step = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
         valid = (noisy > RANGE_MIN) & (depth < RANGE_MAX) & (step < EDGE_STEP * z)
-        return np.where(valid, np.rint(noisy * 1000.0), 0).astype(np.uint16)
+        return np.where(valid, np.rint(noisy * (1000.0 / self._lens)), 0).astype(np.uint16)

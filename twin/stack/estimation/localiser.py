@@ -6,7 +6,6 @@ says so, or until the scan has fitted one place alone over some way.
 """
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 
@@ -14,17 +13,13 @@ from twin.geometry import Array, between2
 from twin.messages import FloorFrame, LidarScan, TagSight
 from twin.stack.config import StackConfig
 from twin.stack.detection.qr import TagDrawing, TagFix, TagReader
-from twin.stack.estimation.amcl import Amcl, AmclSettings
+from twin.stack.estimation.amcl import AmclSettings
 from twin.stack.estimation.fusion import FusedOdometry
 from twin.stack.estimation.map_correction import MapCorrection, growth
 from twin.stack.estimation.qr_fusion import QrFusion, TagPolicy
-from twin.stack.estimation.site_map import floor_map, lidar_map, load_site_map
+from twin.stack.estimation.site_amcl import site_amcl
 
 SEED = 20  # of the particles; any will do
-RANGE_MAX = 30.0  # m, of the lidar: maker's specification
-RESOLUTION = 0.025  # m, cells of the drawn map
-MAX_DISTANCE = 0.5  # m: farther from the map a beam's end is anywhere; ten sigma of a beam
-ROOM = 0.25  # m from the vehicle's centre to what it would touch: half its width
 # Scans half a metre apart see the same error of map, mount and range: as many count as one.
 SHARED = 10.0
 # What all scans share: lidar's mount (2 mm, 3 mrad) and range offset (10 mm, in part cancelled).
@@ -47,7 +42,7 @@ class Localiser:
     Args:
         config: the nominal drawing and the options: `tags`, and `map` for a folder of maps.
         start: x, y, yaw believed at the start, in world, within `odometry_start_sigma`.
-        settings: of AMCL.
+        settings: of AMCL; those of the options without any.
         policy: of the tags.
         seed: of the particles.
 
@@ -65,20 +60,7 @@ class Localiser:
     ):
         start = np.array(start, dtype=float)
         self.fused = FusedOdometry(config, start)
-        if config.options.map is None:
-            seen = lidar_map(config.site, config.T_base_lidar, RESOLUTION)
-            free = floor_map(config.site, RESOLUTION).room(ROOM)
-        else:
-            seen = load_site_map(Path(config.options.map) / "lidar.yaml")
-            free = seen.room(ROOM)
-        self.amcl = Amcl(
-            seen.likelihood_field(MAX_DISTANCE),
-            free,
-            config.T_base_lidar,
-            RANGE_MAX,
-            np.random.default_rng(seed),
-            settings,
-        )
+        self.amcl = site_amcl(config, np.random.default_rng(seed), settings)
         spread = np.diag(np.square(config.odometry_start_sigma))
         self.amcl.initialise(start, spread, odometry=start)
         self._correction = MapCorrection(start, spread, start)
@@ -91,7 +73,6 @@ class Localiser:
         self.events: list[str] = []
         self.dropped = 0
         self.lost = False
-        self.doubtful = False  # may be lost: whoever drives by the pose had better stop
         self._doubted_since: float | None = None  # stamp of a scan
         self._outside = 0  # AMCL's poses in a row outside the gate
         self._confirmed = 0.0  # m of way over which one place alone has fitted
@@ -221,8 +202,8 @@ class Localiser:
             if gain < BETTER:
                 amcl.initialise(here, self.covariance + SYSTEMATIC, reckoned, stamp)
                 elsewhere = False
-        self.doubtful = bool(elsewhere or amcl.quality < POOR * self._usual)
-        if not self.doubtful:
+        doubtful = bool(elsewhere or amcl.quality < POOR * self._usual)
+        if not doubtful:
             self._doubted_since = None
             if not amcl.lost:
                 self._usual += 0.02 * (amcl.quality - self._usual)
@@ -230,7 +211,7 @@ class Localiser:
             self._doubted_since = stamp
         elif stamp - self._doubted_since >= LOST_AFTER:
             self._lose(f"localisation: lost, the map explains {amcl.quality:.0%} of the scan")
-        return self.doubtful
+        return doubtful
 
     def _correct(self) -> None:
         amcl = self.amcl
@@ -257,7 +238,7 @@ class Localiser:
         return amcl.dominance >= SURE and float(np.trace(amcl.covariance[:2, :2])) < SPREAD**2
 
     def _lose(self, why: str) -> None:
-        self.lost = self.doubtful = True
+        self.lost = True
         self._confirmed = 0.0
         self.events.append(why)
 
@@ -266,7 +247,7 @@ class Localiser:
         self._correction.reset(pose, covariance, odometry)
         self._reckoned = self.fused.covariance
         self._outside, self._doubted_since = 0, None
-        self.lost = self.doubtful = False
+        self.lost = False
 
     def _take_over(self) -> None:
         """The pose is AMCL's from now on."""

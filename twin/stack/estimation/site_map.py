@@ -21,6 +21,8 @@ from twin.stack.estimation.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 RESOLUTION = 0.05  # m, edge of a cell
 MARGIN = 0.5  # m about the hall: a scan's end points may fall behind a wall
 WALL = 0.05  # m of the outer walls that are drawn
+FINEST, COARSEST = 0.01, 0.20  # m: cells of a map that the vehicle can drive by
+MOST_OVER = 2.0  # m by which a map may reach beyond the hall
 TOUCH = 1e-6  # m by which a box must reach into a cell to fill it
 
 
@@ -89,17 +91,33 @@ def floor_map(site: Any, resolution: float = RESOLUTION) -> SiteMap:
     return _draw(site, boxes, resolution)
 
 
-def load_site_map(path: Path | str) -> SiteMap:
+def load_site_map(path: Path | str, site: Any) -> SiteMap:
     """Map of a ROS map_server file.
 
+    Args:
+        path: the header.
+        site: the drawing `twin.site.Site`, whose hall the map must be of.
+
     Raises:
-        ValueError: one line, for a file that is missing, truncated, of another size, malformed, or
-            without a free cell.
+        ValueError: one line, for a file that is missing, truncated, malformed, without a free cell,
+            or of another hall.
     """
     grid = load_map(Path(path))
     states = grid.states()
     if not np.any(states == FREE):
         raise ValueError(f"map {path}: no free cell among {states.shape[0]} x {states.shape[1]}")
+    low, high = FINEST, COARSEST
+    if not low <= grid.resolution <= high:
+        raise ValueError(f"map {path}: resolution {grid.resolution} m, wanted {low} to {high}")
+    size = np.array(states.shape[::-1]) * grid.resolution
+    for i, (axis, (start, end)) in enumerate((("x", site.hall.x), ("y", site.hall.y))):
+        first, last = float(grid.origin[i]), float(grid.origin[i] + size[i])
+        over = start - first, last - end
+        if min(over) < -grid.resolution or max(over) > MOST_OVER:
+            raise ValueError(
+                f"map {path}: of another hall: {axis} from {first:.2f} to {last:.2f} m,"
+                f" drawn is {start:.2f} to {end:.2f} m"
+            )
     return SiteMap(states, grid.resolution, grid.origin)
 
 
