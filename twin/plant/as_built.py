@@ -17,7 +17,8 @@ HALF_TRACK = 0.0005  # m, 1 sigma: welded frame
 CAMERA_POSITION, CAMERA_ANGLE = 0.0003, 0.0005  # m, rad: after hand-eye calibration
 CAMERA_FOCAL = 0.0005  # relative: after intrinsic calibration
 TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE = 0.0005, 0.001  # m, rad: after extrinsic calibration
-MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
+MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar, depth camera, scanning head bolted on
+BEACON_PLANES = 0.003  # rad, 1 sigma: line lasers glued into their seats; guess
 ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
 
 
@@ -35,6 +36,8 @@ class AsBuilt:
     dock: Array  # (3,) x, y, yaw added to the drawn dock pose
     tag_camera_mount: Array  # (4, 4)
     floor_seed: int  # of how the floor tags are stuck down
+    beacon_mount: Array  # (4, 4)
+    beacon_planes: Array  # (3,) rad, added to phi_1, phi_2, phi_r of the scanning head
 
     @classmethod
     def draw(cls, rng: np.random.Generator, tolerances) -> "AsBuilt":
@@ -61,4 +64,6 @@ class AsBuilt:
             ),
             tag_camera_mount=mount(TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE),
             floor_seed=int(rng.integers(1 << 32)),
+            beacon_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
+            beacon_planes=rng.normal(0, k * BEACON_PLANES, 3),
         )

@@ -1,0 +1,197 @@
+"""Photoelectric network: what the clocks of T0 and of each node count as light passes them.
+
+Liu et al. 2022, Figs. 2 and 3. The head turns, and two planes of light with it; a node stamps the
+instant at which each plane passes, T0 that at which plane 1 does, and all of them the pulses of the
+synchronising lamp. Between two physics steps (2 ms, a fifteenth of a turn) the vehicle's motion is
+interpolated, and each crossing is sought at its own instant. Sources of the numbers:
+models/beacon/README.md.
+"""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from twin.geometry import Array, transform
+from twin.layout import BeaconHardware
+from twin.messages import BeaconStamps
+from twin.plant.beacon_trouble import BeaconTrouble, Image
+from twin.plant.sensors.beacon_clock import NodeClock, Spin, SyncLamp
+from twin.plant.sensors.imu import rotation_matrix, rotation_vector
+from twin.plant.sensors.mount import Mount
+from twin.site import BeaconNetwork
+
+SYNC, PLANE_1, PLANE_2 = 0, 1, 2
+PHI = np.array([np.pi / 4, np.pi / 4, np.pi / 2])  # rad, as drawn: phi_1, phi_2, phi_r
+FAN = np.radians(40.0)  # elevation over and under the head that the planes reach
+VIEW = np.cos(np.radians(60.0))  # of the angle between a diode's axis and the light
+NEAR, FAR = 0.5, 10.0  # m
+MARGIN = 2e-3  # s before and after a turn that a batch reaches, for pulses to align by
+HOUSING = 0.03  # m before a diode at which a ray may end: on its own housing
+TRIGGER = 20e-6  # s, 1 sigma, of the vehicle's own stamp of the turn's end; guess
+GROUPS = np.array([1, 1, 1, 0, 1, 0], dtype=np.uint8)  # all that is solid; 3 is collision only
+TURN = 2 * np.pi
+
+
+class BeaconSensor:
+    """Head at `head/origin`, nodes at `beacons/<name>/diode`. Asked at every physics step.
+
+    Args:
+        model: the compiled cell.
+        rng: this network's own noise.
+        network: its drawing.
+        hardware: how steady it is.
+        planes: rad by which phi_1, phi_2, phi_r are off the drawing. Shape (3,).
+        mount: `T_base_head` as built. Shape (4, 4).
+        trouble: what is blocked and what reflects.
+        noise_scale: factor on all noise.
+    """
+
+    period = 0.002
+    latency = 0.010
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        rng: np.random.Generator,
+        network: BeaconNetwork,
+        hardware: BeaconHardware,
+        planes: Array,
+        mount: Array,
+        trouble: BeaconTrouble,
+        noise_scale: float = 1.0,
+    ):
+        self._rng, spin_rng, *clocks = rng.spawn(3 + len(network.nodes))
+        k = noise_scale
+        self._crossing, self._sync = k * hardware.crossing_noise, k * hardware.sync_noise
+        self._missed, self._trigger = hardware.missed, k * TRIGGER
+        self.names = tuple(node.name for node in network.nodes)
+        self._sites = [model.site(f"beacons/{name}/diode").id for name in self.names]
+        facing = np.array([node.facing for node in network.nodes])
+        self._facing = np.stack([np.cos(facing), np.sin(facing), 0 * facing], axis=1)
+        self.spin = Spin(spin_rng, network.spin_rate, k * hardware.spin_jitter)
+        self._clocks = [NodeClock(r, hardware.clock_drift) for r in clocks]
+        self._lamp = SyncLamp(self._rng)
+        phi = PHI + planes
+        self._tilt = np.array([phi[0], -phi[1]])
+        self._lead = np.array([0.0, phi[2]])
+        self._mount = Mount(model, "agv/imu")
+        self._mount.T_base_sensor = mount
+        self._head = model.body("head/head").id
+        self._trouble = trouble
+        self._before: tuple[float, Array] | None = None
+        self._turns = 0  # whole turns so far
+        self._passes: list[float] = []  # true times at which plane 1 passed T0
+        self._events: list[tuple[float, int, int, float]] = []  # time, channel, kind, as stamped
+
+    def sample(self, stamp: float, model, data) -> BeaconStamps | None:
+        """Take in what happened since the last step; a batch once a turn is over."""
+        now = stamp, self._mount.pose(data)
+        if self._before is not None:
+            self._advance(self._before, now, model, data)
+        self._before = now
+        if len(self._passes) < 2 or stamp < self._passes[1] + MARGIN:
+            return None
+        start, end = self._passes[0], self._passes.pop(1)
+        self._passes[0] = end
+        batch = [e for e in self._events if start - MARGIN <= e[0] <= end + MARGIN]
+        self._events = [e for e in self._events if e[0] >= end - MARGIN]
+        return self._message(end, batch)
+
+    def head_pose(self, data) -> Array:
+        """True `T_world_head` now, without the spin. Shape (4, 4)."""
+        return self._mount.pose(data)
+
+    # --- one physics step ------------------------------------------------------------------------
+
+    def _advance(self, before, now, model, data) -> None:
+        (t0, T0), (t1, T1) = before, now
+        for pulse in self._lamp.between(t0, t1):
+            for channel in range(len(self._clocks)):
+                self._note(pulse, channel, SYNC, self._sync)
+        if self.spin.turns(t1) >= self._turns + 1:
+            self._turns += 1
+            passed = _root(lambda t: self.spin.turns(t) - self._turns, t0, t1)
+            self._passes.append(passed)
+            self._events.append((passed, 0, PLANE_1, passed + self._noise(self._crossing)))
+        images = self._trouble.images(t1, data.site_xpos[self._sites])
+        nodes = np.array([image.place for image in images])
+        if not len(nodes):
+            return
+        sides = self._sides(nodes, t0, T0), self._sides(nodes, t1, T1)
+        for i, plane in np.argwhere(sides[0] * sides[1] < 0):
+            self._cross(images[i], plane, before, now, model, data)
+
+    def _sides(self, nodes: Array, t: float, T: Array) -> Array:
+        """How far nodes stand over each plane. Shape (n, 2), m."""
+        p = (nodes - T[:3, 3]) @ T[:3, :3]
+        angle = TURN * self.spin.turns(t) + self._lead
+        across = np.outer(p[:, 1], np.cos(angle)) - np.outer(p[:, 0], np.sin(angle))
+        return np.cos(self._tilt) * p[:, 2:] - np.sin(self._tilt) * across
+
+    def _cross(self, image: Image, plane: int, before, now, model, data) -> None:
+        (t0, T0), (t1, T1) = before, now
+        w = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
+        lead, tilt = self._lead[plane], self._tilt[plane]
+
+        def at(t: float) -> Array:
+            s = (t - t0) / (t1 - t0)
+            return transform(T0[:3, :3] @ rotation_matrix(s * w), T0[:3, 3] + s * (T1 - T0)[:3, 3])
+
+        def side(t: float) -> float:
+            T, angle = at(t), TURN * self.spin.turns(t) + lead
+            x, y, z = (image.place - T[:3, 3]) @ T[:3, :3]
+            return np.cos(tilt) * z - np.sin(tilt) * (np.cos(angle) * y - np.sin(angle) * x)
+
+        t = _root(side, t0, t1)
+        T, angle = at(t), TURN * self.spin.turns(t) + lead
+        x, y, z = (image.place - T[:3, 3]) @ T[:3, :3]
+        along = np.cos(angle) * x + np.sin(angle) * y  # behind the fan there is no light
+        if along > 0 and abs(z) < np.tan(FAN) * np.hypot(x, y):
+            if not image.direct or self._seen(image, T[:3, 3], model, data):
+                self._note(t, image.node + 1, PLANE_1 + plane, self._crossing)
+
+    def _seen(self, image: Image, origin: Array, model, data) -> bool:
+        """Whether light from the head reaches a diode: near enough, before it, nothing between."""
+        way = image.place - origin
+        distance = float(np.linalg.norm(way))
+        if not (NEAR <= distance <= FAR and -way @ self._facing[image.node] >= VIEW * distance):
+            return False
+        hit = np.array([-1], dtype=np.int32)
+        ray = way / distance
+        free = mujoco.mj_ray(model, data, origin, ray, GROUPS, 1, self._head, hit)
+        return bool(hit[0] < 0 or free >= distance - HOUSING)
+
+    # --- stamps ----------------------------------------------------------------------------------
+
+    def _note(self, time: float, channel: int, kind: int, sigma: float) -> None:
+        if self._rng.random() >= self._missed:
+            self._events.append((time, channel, kind, time + self._noise(sigma)))
+
+    def _noise(self, sigma: float) -> float:
+        return sigma * float(self._rng.standard_normal())
+
+    def _message(self, end: float, batch) -> BeaconStamps:
+        batch = sorted(batch, key=lambda e: (e[1], e[3]))
+        channel = np.array([e[1] for e in batch], dtype=np.int64)
+        kind = np.array([e[2] for e in batch], dtype=np.int64)
+        ticks = np.array([self._clocks[e[1]].ticks(e[3]) for e in batch], dtype=np.int64)
+        stamp = end + self._noise(self._trigger)
+        return BeaconStamps(stamp, self.names, channel, kind, ticks)
+
+
+def _root(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where a smooth function that changes its sign between low and high is zero (Illinois)."""
+    a, b = low, high
+    fa, fb = f(a), f(b)
+    t = b
+    for _ in range(30):
+        t = (a * fb - b * fa) / (fb - fa)
+        ft = f(t)
+        if abs(ft) < 1e-13 or b - a < 1e-13:
+            break
+        if (ft < 0) == (fb < 0):
+            b, fb, fa = t, ft, 0.5 * fa
+        else:
+            a, fa, fb = t, ft, 0.5 * fb
+    return t
