@@ -45,9 +45,9 @@ class Simulation:
         self.plant = Plant(layout, request.seed, order)
         try:
             self.stack = Stack(self.config)
-        except ValueError as error:  # a map that cannot be read
+        except ValueError as error:  # a map or a calibration that cannot be read
             self.plant.close()
-            raise LayoutError(f"options.map: {error}") from None
+            raise LayoutError(f"options: {error}") from None
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None

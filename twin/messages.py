@@ -189,9 +189,7 @@ class TransportOrder:
     stamp: float
 
 
-AnyOrder = (
-    Order | DriveOrder | CourseOrder | MapOrder | TransportOrder | ParkOrder | BeaconOrder
-)
+AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder | ParkOrder | BeaconOrder
 
 Reading = (
     WheelState

@@ -23,6 +23,7 @@ from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
 from twin.stack.estimation.beacons.consensus import find_poses
 from twin.stack.estimation.beacons.p3p import DANGER, conditioning, p3p_checked, triple_fault
 from twin.stack.estimation.beacons.refine import head_twist, motion
+from twin.stack.estimation.beacons.rigid import cross_matrix
 from twin.stack.estimation.beacons.settle import Settled, settle
 from twin.stack.estimation.beacons.stamps import (
     PLANE_1,
@@ -232,13 +233,9 @@ def base_from_head(T_world_head: Array, T_head_base: Array) -> Array:
     """Derivative of the base's small error by the head's, see `refine`. Shape (6, 6)."""
     R, lever = T_world_head[:3, :3], T_head_base[:3, 3]
     J = np.eye(6)
-    J[:3, 3:] = -R @ _cross(lever)
+    J[:3, 3:] = -R @ cross_matrix(lever)
     J[3:, 3:] = T_head_base[:3, :3].T
     return J
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _disorder(stamps: StampBatch, aligned: Aligned) -> NoFix | None:
