@@ -1,4 +1,4 @@
-"""How well the photoelectric network tells the pose: errors against truth, and against the bound."""
+"""How well the photoelectric network tells the pose: against truth and against the bound."""
 
 from collections.abc import Sequence
 from itertools import combinations
