@@ -35,7 +35,8 @@ class BeaconTrouble:
         self._faults, self._names, self._rng = faults, names, rng
         self.blocked, self.reflections = faults.blocked, faults.reflections
         self._drawn = 0  # times that the lot was drawn
-        self._shown: tuple[bool, ...] = ()
+        self._tenth = -1  # of a second since the start
+        self._shown: dict[str, bool] = {}  # by node, whether its reflection shows in it
 
     def images(self, time: float, places: Array) -> list[Image]:
         """All that may be seen now. `places`: the nodes in world, m. Shape (n, 3)."""
@@ -56,13 +57,18 @@ class BeaconTrouble:
         """Whether it is there in this tenth of a second: a mirror trembles."""
         if reflection.share >= 1.0:
             return True
-        seed = (self._names.index(reflection.node), self._drawn, int(10 * time))
-        return bool(np.random.default_rng(seed).random() < reflection.share)
+        tenth = int(10 * time)
+        if tenth != self._tenth:
+            self._tenth, self._shown = tenth, {}
+        if reflection.node not in self._shown:
+            self._shown[reflection.node] = bool(self._rng.random() < reflection.share)
+        return self._shown[reflection.node]
 
     def _draw(self) -> None:
         """Another node is blocked, and another one reflects."""
         rng = self._rng
         self._drawn += 1
+        self._shown = {}
         blocked, mirrored = rng.choice(len(self._names), 2, replace=False)
         self.blocked = (*self._faults.blocked, self._names[blocked])
         direction = rng.standard_normal(3)

@@ -10,11 +10,9 @@ from twin.plant.actuators.arm_drive import ArmDrive
 from twin.plant.actuators.gripper_drive import GripperDrive
 from twin.plant.actuators.wheel_drive import WheelDrive
 from twin.plant.as_built import AsBuilt
-from twin.plant.beacon_trouble import BeaconTrouble
-from twin.plant.beacons import T_BASE_HEAD
 from twin.plant.faults import FaultDriver
 from twin.plant.feeder import Feeder
-from twin.plant.sensors.beacons import BeaconSensor
+from twin.plant.sensors.beacons import fitted_network
 from twin.plant.sensors.camera import MastCamera
 from twin.plant.sensors.encoders import WheelEncoders
 from twin.plant.sensors.floor_camera import FloorCamera
@@ -88,27 +86,10 @@ class Plant:
             *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
             LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
             *(cameras if layout.world.sensors.cameras else ()),
-            *self._beacons(noise[6], noise[7]),
+            *fitted_network(model, layout, self.as_built, noise[6], noise[7]),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
         self._begun = False
-
-    def _beacons(self, rng: np.random.Generator, lot: np.random.Generator):
-        """The photoelectric network, if it is fitted: none or one sensor."""
-        world, network = self.layout.world, self.layout.site.beacons
-        if network is None or not world.beacons.fitted:
-            return
-        names = tuple(node.name for node in network.nodes)
-        yield BeaconSensor(
-            self.world.model,
-            rng,
-            network,
-            world.beacons,
-            self.as_built.beacon_planes,
-            T_BASE_HEAD @ self.as_built.beacon_mount,
-            BeaconTrouble(world.faults.beacons, names, lot),
-            world.sensors.noise_scale,
-        )
 
     def park(self, joints) -> None:
         """Before the run: leave the arms where their encoders read `joints`, shape (2, 6), rad.

@@ -14,9 +14,11 @@ import mujoco
 import numpy as np
 
 from twin.geometry import Array
-from twin.layout import BeaconHardware
+from twin.layout import BeaconHardware, Layout
 from twin.messages import BeaconStamps
+from twin.plant.as_built import AsBuilt
 from twin.plant.beacon_trouble import BeaconTrouble, Image
+from twin.plant.beacons import T_BASE_HEAD
 from twin.plant.sensors.beacon_clock import NodeClock, Spin, SyncLamp
 from twin.plant.sensors.mount import Mount
 from twin.site import BeaconNetwork
@@ -78,7 +80,7 @@ class BeaconSensor:
         self._mount = Mount(model, "agv/imu")
         self._mount.T_base_sensor = mount
         self._head = model.body("head/head").id
-        self._trouble = trouble
+        self.trouble = trouble
         self._before: tuple[float, Array] | None = None
         self._turns = 0  # whole turns so far
         self._passes: list[float] = []  # true times at which plane 1 passed T0
@@ -98,10 +100,6 @@ class BeaconSensor:
         self._events = [e for e in self._events if e[0] >= end - MARGIN]
         return self._message(end, batch)
 
-    def head_pose(self, data) -> Array:
-        """True `T_world_head` now, without the spin. Shape (4, 4)."""
-        return self._mount.pose(data)
-
     # --- one physics step ------------------------------------------------------------------------
 
     def _advance(self, before, now, model, data) -> None:
@@ -114,7 +112,7 @@ class BeaconSensor:
             passed = _root(lambda t: self.spin.turns(t) - self._turns, t0, t1)
             self._passes.append(passed)
             self._events.append((passed, 0, PLANE_1, passed + self._noise(self._crossing)))
-        images = self._trouble.images(t1, data.site_xpos[self._sites])
+        images = self.trouble.images(t1, data.site_xpos[self._sites])
         nodes = np.array([image.place for image in images]).reshape(-1, 3)
         ends = [(nodes - T[:3, 3]) @ T[:3, :3] for T in (T0, T1)]
         sides = self._sides(ends[0], t0), self._sides(ends[1], t1)
@@ -143,9 +141,9 @@ class BeaconSensor:
         def at(t: float) -> tuple[float, float, float]:
             """Along the fan, across it and up."""
             k, angle = (t - t0) / (t1 - t0), TURN * self.spin.turns(t) + lead
-            x, y, z = (a + k * (b - a) for a, b in zip(p0, p1, strict=True))
+            x, y = p0[0] + k * (p1[0] - p0[0]), p0[1] + k * (p1[1] - p0[1])
             ca, sa = math.cos(angle), math.sin(angle)
-            return ca * x + sa * y, ca * y - sa * x, z
+            return ca * x + sa * y, ca * y - sa * x, p0[2] + k * (p1[2] - p0[2])
 
         def side(t: float) -> float:
             _, across, up = at(t)
@@ -183,6 +181,31 @@ class BeaconSensor:
         ticks = np.array([self._clocks[e[1]].ticks(e[3]) for e in batch], dtype=np.int64)
         stamp = end + self._noise(self._trigger)
         return BeaconStamps(stamp, self.names, channel, kind, ticks)
+
+
+def fitted_network(
+    model: mujoco.MjModel,
+    layout: Layout,
+    as_built: AsBuilt,
+    rng: np.random.Generator,
+    lot: np.random.Generator,
+) -> tuple[BeaconSensor, ...]:
+    """The network of a layout: one sensor, or none if it is not fitted.
+
+    Args:
+        model: the compiled cell.
+        layout: gives drawing, hardware and faults.
+        as_built: gives head and mount.
+        rng: of its noise.
+        lot: of the faults that the layout leaves open.
+    """
+    world, network = layout.world, layout.site.beacons
+    if network is None or not world.beacons.fitted:
+        return ()
+    trouble = BeaconTrouble(world.faults.beacons, tuple(n.name for n in network.nodes), lot)
+    mount, scale = T_BASE_HEAD @ as_built.beacon_mount, world.sensors.noise_scale
+    planes = as_built.beacon_planes
+    return (BeaconSensor(model, rng, network, world.beacons, planes, mount, trouble, scale),)
 
 
 def _root(f: Callable[[float], float], low: float, high: float) -> float:
