@@ -1,5 +1,6 @@
 """How well the photoelectric network tells the pose: against truth and against the bound."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -38,6 +39,11 @@ class BeaconMonitor:
         self._velocity.append(np.array(tick.truth.velocity))
         self.readings += [r for r in tick.readings if isinstance(r, BeaconStamps)]
         self.sights += tick.state.beacons
+
+    def outcomes(self) -> list[str]:
+        """What became of the turns of the head, one line each with how many."""
+        counts = Counter(sight.reason for sight in self.sights)
+        return [f"{count} turns of the head: {reason}" for reason, count in counts.most_common()]
 
     @property
     def truth(self) -> Array:

@@ -29,7 +29,7 @@ from twin.stack.tasks.arm_worker import ArmWorker
 
 TRIALS, PLACES = 10_000, 20
 HELD = 20  # turns after which other nodes are blocked and reflect
-X, Y, YAW = (0.9, 2.3), (1.4, 3.8), 0.4  # m, rad about facing the truss: where the vehicle stands
+X, Y, YAW = (1.2, 2.3), (1.4, 3.8), 0.4  # m, rad about facing the truss: where the vehicle stands
 SETTLE = 0.4  # s until it stands still after it was put down
 STEP = 0.004  # s between looks at the turning head, an eighth of a turn
 BEYOND = 5.0  # sigma

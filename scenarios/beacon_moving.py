@@ -25,11 +25,11 @@ LONGEST = 120.0  # s of simulated time after which the run is given up
 ROUTE = (
     (2.3, 3.8, WEST),  # along the truss: a strafe
     (2.3, 1.2, WEST),
-    (0.8, 1.2, WEST),  # towards it
-    (0.8, 3.8, WEST),
+    (1.2, 1.2, WEST),  # towards it
+    (1.2, 3.8, WEST),
     (2.3, 3.8, WEST),  # away from it
-    (0.9, 1.4, WEST),  # aslant
-    (0.9, 3.6, WEST + 0.6),  # turning on the way
+    (1.2, 1.4, WEST),  # aslant
+    (1.2, 3.6, WEST + 0.6),  # turning on the way
     (2.2, 2.0, WEST - 0.3),
     (2.3, 2.6, WEST),
 )
@@ -55,7 +55,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
             return sim.stack.done
 
         complete = sim.run(LONGEST, over)
-        return sim.result(metrics(sim, watch), CRITERIA, complete)
+        return sim.result(metrics(sim, watch), CRITERIA, complete, watch.outcomes())
 
 
 def metrics(sim: Simulation, watch: BeaconMonitor) -> dict[str, float]:

@@ -20,7 +20,7 @@ from twin.stack.estimation.beacons.fix import Fix
 
 MOVES = 30
 SHORTEST, FARTHEST = 0.050, 1.000  # m of a move
-X, Y, YAW = (0.9, 2.35), (1.3, 3.9), 0.15  # m, rad about facing the truss: where it parks
+X, Y, YAW = (1.2, 2.35), (1.4, 3.8), 0.15  # m, rad about facing the truss: where it parks
 LONGEST = 400.0  # s of simulated time after which the run is given up
 
 CRITERIA = [
@@ -41,7 +41,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
         complete = sim.run(LONGEST, lambda tick: sim.stack.done)
         figures, table = metrics(sim, watch)
         np.savez_compressed(request.out / "moves.npz", **table)
-        return sim.result(figures, CRITERIA, complete)
+        return sim.result(figures, CRITERIA, complete, watch.outcomes())
 
 
 def moves(rng: np.random.Generator, start) -> tuple[tuple[float, float, float], ...]:

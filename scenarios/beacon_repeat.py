@@ -62,7 +62,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
         complete = sim.run(LONGEST, over)
         figures, series = metrics(sim, watch)
         np.savez_compressed(request.out / "series.npz", **series)
-        return sim.result(figures, CRITERIA, complete)
+        return sim.result(figures, CRITERIA, complete, watch.outcomes())
 
 
 def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], dict[str, Array]]:
