@@ -134,16 +134,20 @@ class Bench:
 
     def trial(self, place: Locator) -> Trial:
         """The next turn of the head, and what the estimator makes of it."""
-        trouble = self._sensor.trouble
+        bad = self._bad()  # the lot may be drawn in the middle of the turn
         fix = place.fix(stamp_batch(self._turn()))
         if not isinstance(fix, Fix):
             return Trial(None, fix.reason)
-        bad = {*trouble.blocked, *(r.node for r in trouble.reflections)}
+        bad |= self._bad()
         good = tuple(name for name in self._sensor.names if name not in bad)
         if good not in self._sigmas:
             bound = pose_bound(self._T, true_setting(self._plant, good))
             self._sigmas[good] = position_sigma(bound)
         return Trial((fix.T_world_head[:3, 3] - self._T[:3, 3]) / self._sigmas[good])
+
+    def _bad(self) -> set[str]:
+        trouble = self._sensor.trouble
+        return {*trouble.blocked, *(r.node for r in trouble.reflections)}
 
     def _turn(self) -> BeaconStamps:
         world = self._plant.world

@@ -21,6 +21,9 @@ from twin.stack.estimation.beacons.stamps import NodeSurvey, NoFix, StampBatch
 # 3.2.1; the angles are a guess.
 SOURCE_SIGMA = np.array([0.0028] * 3 + [0.0015] * 3)  # m, rad
 
+# By which the vehicle may stand over or under the level floor, and lean; guess.
+HEIGHT, TILT = 0.05, 0.05  # m, rad
+
 
 @dataclass(frozen=True)
 class Located:
@@ -64,6 +67,8 @@ def locator(config: StackConfig) -> Locator:
         head.counter,
         head.noise,
         network.spin_rate,
+        height=HEIGHT,
+        tilt=TILT,
     )
 
 

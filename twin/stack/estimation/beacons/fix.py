@@ -20,7 +20,7 @@ from twin.stack.estimation.beacons.angles import (
     rotation_angle,
 )
 from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
-from twin.stack.estimation.beacons.consensus import find_poses
+from twin.stack.estimation.beacons.consensus import find_poses, floor_of
 from twin.stack.estimation.beacons.p3p import DANGER, conditioning, p3p_checked, triple_fault
 from twin.stack.estimation.beacons.refine import head_twist, motion
 from twin.stack.estimation.beacons.rigid import cross_matrix
@@ -79,6 +79,7 @@ class Locator:
         sequence, counter, noise: of the network.
         spin_rate: nominal turns per second, within a few percent.
         loosest: standard deviation of the position, along the worst axis, that is still a fix, m.
+        height, tilt: of the base over the level floor z = 0 at most, m and rad; inf if unknown.
     """
 
     survey: NodeSurvey
@@ -89,6 +90,8 @@ class Locator:
     noise: Noise = field(default_factory=Noise)
     spin_rate: float = 30.0
     loosest: float = 0.03
+    height: float = float("inf")
+    tilt: float = float("inf")
 
     def crossings(self, stamps: StampBatch) -> tuple[Crossings, float] | NoFix:
         """Angles of the last whole revolution, and the time of its middle."""
@@ -136,7 +139,8 @@ class Locator:
         A, s = motion(twist, seen.time)
         still = bool(np.abs(twist).max() < STILL)
         data = nodes, sigma_node, seen.node, seen.plane, seen.theta, normals(self.head), A, s
-        R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still)
+        floor = floor_of(self.T_base_head, self.height, self.tilt)
+        R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still, floor)
         if visible < 3:
             return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
         if not triples:
@@ -146,7 +150,7 @@ class Locator:
         if not found:
             return NoFix("no solution", f"no pose agrees with more than three of {visible} nodes")
         start = [(R[k], p[k], cost[k]) for k in range(found)]
-        settled = settle(start, data, seen.covariance)
+        settled = settle(start, data, seen.covariance, floor)
         if isinstance(settled, NoFix):
             return settled
         rows, chi, covariance = settled.rows, settled.chi_square, settled.covariance
