@@ -37,6 +37,7 @@ class LayerOptions:
     drawn: float = 0.12  # m around what the map shows that belong to it: errors of pose and lidar
     moving: float = 0.20  # m likewise, for what may move
     late: float = 0.5  # s: older readings are left out
+    edge: float = 0.02  # rad of the lidar's view within which a thing may be cut off
 
 
 class ObstacleLayer:
@@ -137,12 +138,14 @@ class ObstacleLayer:
         points = self._points(place, beam_angles(scan)[near], ranges[near])
         off = self._mask(self._off_map_far, points)
         low, high = sorted((scan.angle_min, beam_angles(scan)[-1]))
+        angles = beam_angles(scan)[near][off]
+        at_edge = (angles < low + o.edge) | (angles > high - o.edge)
 
         def in_view(xy: Array) -> bool:
             direction = wrap_angle(np.arctan2(*(xy - place[:2])[::-1]) - place[2])
             return bool(low < direction < high)
 
-        self.moving.update(scan.stamp, points[off], place[:2], in_view)
+        self.moving.update(scan.stamp, points[off], place[:2], in_view, at_edge)
         moving = self.moving.near_moving(scan.stamp, points, 0.15) & off
         kept = np.where(near, ranges, np.inf)
         kept[np.nonzero(near)[0][moving]] = np.inf
