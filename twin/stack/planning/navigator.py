@@ -25,7 +25,7 @@ from twin.stack.planning.clearance import (
 from twin.stack.planning.recovery import Recovery, Stage
 from twin.stack.planning.route import Route
 from twin.stack.planning.surroundings import Surroundings
-from twin.stack.planning.teb import Teb
+from twin.stack.planning.teb import Teb, TebPlan
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
 
 
@@ -232,11 +232,7 @@ class Navigator:
         if not reason:
             # From here on: the band's horizon must not be used up by the way that lies behind.
             near = self._beside(now, self.route.left(start), start)
-            plan = self.teb.plan(now, start, speed, self.route.xy, self._pose_goal[2], near)
-            if plan.trajectory is None and not moving_on:
-                plan = self.teb.plan(
-                    now, start, speed, self.route.xy, self._pose_goal[2], near, o.squeeze
-                )
+            plan = self._band(now, start, speed, near, None if moving_on else o.squeeze)
             reason = plan.reason
             if plan.trajectory is not None:
                 if self.follower.trajectory is not plan.trajectory:
@@ -247,6 +243,22 @@ class Navigator:
                 return True
         self._without_plan(now, pose, reason)
         return False
+
+    def _band(
+        self, now: float, start: Array, speed: Array, near: Array, squeeze: float | None
+    ) -> TebPlan:
+        """The best band that there is: over ground that was looked at, over any, or squeezed."""
+        way, yaw = self.route.xy, self._pose_goal[2]
+        unseen, last = self.surroundings.unseen(start), self.teb.last
+        if len(unseen):
+            plan = self.teb.plan(now, start, speed, way, yaw, np.vstack([near, unseen]))
+            if plan.trajectory is not None:
+                return plan
+            self.teb.last = last  # to start from all the same
+        plan = self.teb.plan(now, start, speed, way, yaw, near)
+        if plan.trajectory is None and squeeze is not None:
+            plan = self.teb.plan(now, start, speed, way, yaw, near, squeeze)
+        return plan
 
     def _take(self, now: float, trajectory, start: Array) -> None:
         if trajectory.began == now:

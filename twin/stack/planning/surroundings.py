@@ -26,6 +26,7 @@ class SurroundingsOptions:
     margin: float = 0.07
     beside: float = 1.0  # m beside the way within which obstacles count
     about: float = 2.0  # m about a vehicle that stands, likewise
+    unseen: float = 0.8  # m about the vehicle within which ground never looked at is avoided
 
 
 class Surroundings:
@@ -131,6 +132,17 @@ class Surroundings:
         around = self._solid().obstacles_along(way[s <= length], self.options.beside)
         around = np.vstack([around, self.layer.moving.obstacles(now)])
         return shrunk(around, start, self._footprint)
+
+    def unseen(self, pose: Array) -> Array:
+        """Rows as in `clearance` of ground near a pose that might hold what the lidar misses.
+
+        The camera looks ahead. A vehicle that turns beside what it has never looked at sweeps over
+        it with its tail.
+        """
+        here, layer = self._map, self.layer
+        cells = np.where(layer.looked | layer.live | here.occupied, np.uint8(0), np.uint8(LETHAL))
+        ground = Costmap(cells, here.resolution, here.origin)
+        return shrunk(ground.obstacles(pose, self.options.unseen), pose, self._footprint)
 
     def about(self, now: float, pose: Array) -> Array:
         """Rows as in `clearance` of what stands and moves about a pose."""
