@@ -118,11 +118,6 @@ class Localiser:
     def particles(self) -> int:
         return len(self.amcl.particles)
 
-    @property
-    def fit(self) -> float:
-        """Share of the last scan's beams that the map explains."""
-        return self.amcl.quality
-
     def relocate(self) -> None:
         """Give up the pose: search the whole map."""
         self.amcl.scatter()
