@@ -258,7 +258,10 @@ class Localiser:
         decision = self._tags.update(
             fix, believed, covariance, lambda pose: self.amcl.fit(pose, reckoned)
         )
-        self.sights.append(TagSight(fix.stamp, fix.text.tag_id, decision.action, decision.pose))
+        text = fix.text
+        self.sights.append(
+            TagSight(fix.stamp, text.tag_id, decision.action, decision.pose, text.next_nodes)
+        )
         if decision.action == "refused":
             self.events.append(decision.reason)
             return
