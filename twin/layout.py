@@ -148,6 +148,7 @@ class Options(Strict):
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
     calibration: str | None = None  # its calibration.json: where the depth camera really hangs
     motion_model: Literal["omni", "turn_path_turn"] = "omni"  # of AMCL's particles
+    aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
 
 
 class Layout(Strict):
