@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flat_world import scan
 
-from scenarios.odometry import EAST, WEST
+from scenarios.odometry import drawn_course
 from twin.geometry import compose2
 from twin.layout import load_layout
 from twin.messages import BodyVelocity
@@ -18,6 +18,8 @@ from twin.stack.tasks.aisle import AisleKeeper, wall_beside
 LAYOUT = load_layout(None, ("options.aisle=line",))
 CONFIG = nominal_config(LAYOUT.site, LAYOUT.options)
 SURFACES = lidar_map(LAYOUT.site, CONFIG.T_base_lidar).surfaces.reshape(-1, 2, 2)
+COURSE = drawn_course(LAYOUT.site)
+EAST, WEST = COURSE.east, COURSE.west
 LIDAR = (CONFIG.T_base_lidar[0, 3], 0.0, 0.0)
 DT = 0.01
 
