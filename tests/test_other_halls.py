@@ -56,6 +56,15 @@ def test_transport_follows_the_drawing_to_any_rack(file, rack):
         assert drawn.world.faults.tags[0].tag in [tag.name for tag in way[:-1]]
 
 
+@pytest.mark.parametrize("scenario", ["pick_line", "odometry", "warehouse_qr", "kidnap"])
+def test_the_scenarios_begin_in_the_short_hall(scenario, tmp_path):
+    """Without tags where they are not the point: for what leans on them there is another way."""
+    run = ["run", scenario, "--layout", str(SHORT), "--duration", "0.3", "--out", str(tmp_path)]
+    tags = [] if scenario == "warehouse_qr" else ["--set", NO_TAGS]
+    assert main([*run, *tags]) == 1  # cut short
+    assert (tmp_path / "report.json").exists() and not (tmp_path / "error.txt").exists()
+
+
 def test_a_tag_has_one_fault_alone():
     fault = 'world.faults.tags=[{tag="W4", kind="damaged"}, {tag="W3", kind="foreign"}]'
     for seed in range(8):
