@@ -20,7 +20,7 @@ CAMERA_POSITION, CAMERA_ANGLE = 0.0003, 0.0005  # m, rad: after hand-eye calibra
 # leave a third of that.
 CAMERA_FOCAL = 0.0005
 CAMERA_CENTRE = 0.25 / 640  # of the picture's width, 1 sigma along u and v
-RGBD_WIDTH, TAG_CAMERA_WIDTH = 424, 320  # px
+CAMERA_WIDTH, RGBD_WIDTH, TAG_CAMERA_WIDTH = 640, 424, 320  # px
 TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE = 0.0005, 0.001  # m, rad: after extrinsic calibration
 MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
 ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
@@ -44,6 +44,7 @@ class AsBuilt:
     rgbd_centre: Array  # (2,) px, u and v of the principal point off the picture's middle
     tag_camera_focal: float  # factor
     tag_camera_centre: Array  # (2,) px
+    camera_centre: Array  # (2,) px
 
     @classmethod
     def draw(cls, rng: np.random.Generator, tolerances) -> "AsBuilt":
@@ -74,4 +75,5 @@ class AsBuilt:
             rgbd_centre=rng.normal(0, k * CAMERA_CENTRE * RGBD_WIDTH, 2),
             tag_camera_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
             tag_camera_centre=rng.normal(0, k * CAMERA_CENTRE * TAG_CAMERA_WIDTH, 2),
+            camera_centre=rng.normal(0, k * CAMERA_CENTRE * CAMERA_WIDTH, 2),
         )
