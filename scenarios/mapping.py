@@ -115,6 +115,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     free = FreeMapper(config)
     with Simulation(request, layout, order, (free,), config) as sim:
         free.odometry = sim.stack.localiser.fused.history.at
+        free.calibration = lambda: sim.stack.mapper and sim.stack.mapper.calibration
 
         def over(tick: Tick) -> bool:
             return sim.stack.done
@@ -151,15 +152,22 @@ def with_wrong_camera(config: StackConfig, rng: np.random.Generator) -> StackCon
 
 
 class FreeMapper:
-    """A second mapper beside the stack's, without the surveyed walls: for comparison alone."""
+    """A second mapper beside the stack's, without the surveyed walls: for comparison alone.
+
+    It gets the stack's calibration when the stack has it, so that the walls are all that differs.
+    """
 
     def __init__(self, config: StackConfig):
         self.mapper = Mapper(config, settings=MapperSettings(surveyed=False))
         self.odometry: Callable[[float], Array | None] = lambda stamp: None
+        self.calibration: Callable[[], Calibration | None] = lambda: None
         self._stamps: list[float] = []
         self._poses: list[Array] = []
 
     def observe(self, tick: Tick) -> None:
+        found = self.calibration()
+        if found is not None and not self.mapper.calibrated:
+            self.mapper.adopt(found)
         for reading in tick.readings:
             if isinstance(reading, LidarScan):
                 self.mapper.hear(reading, self.odometry(reading.stamp))

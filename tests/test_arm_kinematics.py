@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.geometry import apply, inverse, transform
+from twin.geometry import apply, inverse, rot_y, rot_z, transform
 from twin.layout import models_dir
 from twin.stack.config import Arm, Tray, arm_mounts
 from twin.stack.control.arm_dynamics import ArmDynamics
-from twin.stack.control.arm_kinematics import ArmKinematics, Unreachable, down_pose
+from twin.stack.control.arm_kinematics import ArmKinematics, Unreachable
 
 ARM_XML = models_dir() / "arm" / "arm.xml"
 ARM = Arm()
@@ -95,6 +95,11 @@ def test_jacobian_is_the_derivative(q):
         W = dT[:3, :3] @ T[:3, :3].T
         twist = np.array([*dT[:3, 3], W[2, 1], W[0, 2], W[1, 0]])
         np.testing.assert_allclose(J[:, i], twist, atol=1e-5)
+
+
+def down_pose(position, yaw: float) -> np.ndarray:
+    """`T_mount_tcp` of a hand that points down and closes along `yaw` in mount, rad."""
+    return transform(rot_z(yaw - np.pi / 2) @ rot_y(np.pi), position)
 
 
 @settings(max_examples=200, deadline=None)

@@ -9,7 +9,7 @@ import pytest
 from evaluation.odometry import Aisle, CourseMonitor, nees
 from scenarios import odometry
 from twin.floor_plan import FOOTPRINT
-from twin.geometry import rectangle, wrap_angle
+from twin.geometry import wrap_angle
 from twin.layout import Layout, WetPatch, load_layout
 from twin.messages import CourseOrder
 from twin.recording.codec import decode, encode
@@ -79,36 +79,36 @@ def test_an_honest_estimate_has_a_normalised_error_of_one():
 
 @pytest.mark.parametrize("seed", range(20))
 def test_patches_lie_on_the_course_and_off_the_clear_aisle_and_its_turns(seed):
-    wet = odometry.patches(np.random.default_rng([seed, 1]))
-    a, (x0, x1) = odometry.AISLE, odometry.AISLE.x
+    way = odometry.drawn_course(load_layout().site)
+    wet = odometry.patches(way, np.random.default_rng([seed, 1]))
+    a, (x0, x1) = way.aisle, way.aisle.x
     reach = np.hypot(*FOOTPRINT) / 2
     for p in wet:
         in_aisle = p.x[0] < x1 + reach and p.x[1] > x0 - reach
         assert not in_aisle or p.y[0] > a.y + reach
-    dry = np.array([odometry.ROUTE[0], *odometry.ROUTE[:6]], dtype=float)  # until once around
+    dry = np.array([way.route[0], *way.route[:6]], dtype=float)  # until once around
     dry[0] = 0.0
-    way = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(dry)])
-    assert not watched(way, wet).wheels_wet().any()
-    later = np.array(odometry.ROUTE[6:], dtype=float)
-    way = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(later)])
-    assert watched(way, wet).wheels_wet().max() >= 2
+    path = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(dry)])
+    assert not watched(path, wet).wheels_wet().any()
+    later = np.array(way.route[6:], dtype=float)
+    path = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(later)])
+    assert watched(path, wet).wheels_wet().max() >= 2
     layout = load_layout()
     dump = layout.model_dump()
     dump["world"]["faults"]["wet"] = [p.model_dump() for p in wet]
     Layout.model_validate(dump)
 
 
-def test_the_course_stays_clear_of_all_that_is_drawn():
-    from twin.floor_plan import machines
-    from twin.geometry import rectangles_overlap
-
-    site = load_layout().site
-    for pose in odometry.ROUTE:
-        box = rectangle(*pose, *FOOTPRINT)
-        for name, boxes in machines(site).items():
-            assert not any(rectangles_overlap(box, other) for other in boxes), (pose, name)
+@pytest.mark.parametrize("east, south", [(15.2, -1.5), (13.0, -1.5), (15.2, -1.4)])
+def test_the_course_follows_the_walls(east, south):
+    hall = (f"site.hall.x=[-1.0, {east}]", f"site.hall.y=[{south}, 8.0]")
+    layout = load_layout(None, (*hall, "site.racks=[]", "site.tags=[]", "site.hall.partitions=[]"))
+    course = odometry.drawn_course(layout.site)
+    assert course.aisle.x == (5.65, pytest.approx(east - 0.65))
+    assert course.aisle.y == pytest.approx(south + 0.85)
+    assert {course.east, course.west} <= {pose[:2] for pose in course.route}
 
 
 def test_the_order_is_recorded_to_the_bit():
-    order = CourseOrder(0.5, odometry.ROUTE)
+    order = CourseOrder(0.5, odometry.drawn_course(load_layout().site).route)
     assert decode(*encode(order)) == order

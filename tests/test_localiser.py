@@ -85,7 +85,7 @@ def test_follows_a_drive_smoothly():
     rig.run(0.5)
     off = rig.run(6.0, speed=0.7)
     assert np.sqrt(np.mean(off[200:] ** 2)) < 0.012
-    assert not rig.localiser.lost and rig.localiser.fit > 0.9
+    assert not rig.localiser.lost and rig.localiser.amcl.quality > 0.9
     assert np.max(np.abs(np.diff(off))) < 0.004  # no jumps: it can be controlled by
     error = rig.localiser.pose(rig.now) - rig.truth
     assert error @ np.linalg.solve(rig.localiser.covariance, error) < 16.27  # 99.9 %

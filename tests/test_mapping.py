@@ -1,6 +1,7 @@
 """Scenario mapping: obstacles and the camera's wrong drawing, and the files of a short run."""
 
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scenarios.mapping import (
     ROUTE,
     WRONG_SHIFT,
     WRONG_TURN,
+    FreeMapper,
     apart,
     run,
     with_obstacles,
@@ -23,7 +25,7 @@ from twin.layout import load_layout
 from twin.plant.obstacles import OUTLINE
 from twin.stack.config import nominal_config
 from twin.stack.estimation.map_file import load_map
-from twin.stack.estimation.vehicle_calibration import load_calibration
+from twin.stack.estimation.vehicle_calibration import Calibration, load_calibration
 
 LAYOUT = load_layout()
 
@@ -50,6 +52,23 @@ def test_camera_is_drawn_wrong_by_as_much_as_is_said():
         wrong = with_wrong_camera(config, np.random.default_rng(seed))
         shift, turn = apart(wrong.rgbd.T_base_camera, config.rgbd.T_base_camera)
         assert shift == pytest.approx(WRONG_SHIFT) and turn == pytest.approx(WRONG_TURN)
+
+
+def test_the_mapper_without_walls_gets_the_calibration_of_the_other():
+    """Expected: the free mapper corrects ranges as the stack's does, once it can."""
+    config = nominal_config(LAYOUT.site, LAYOUT.options)
+    free = FreeMapper(config)
+    state = SimpleNamespace(fused_pose=np.zeros(3))
+    free.observe(SimpleNamespace(stamp=0.0, readings=(), state=state))
+    assert not free.mapper.calibrated
+    found = Calibration((0.0, 0.0, 0.4), (-1.57, 0.0, -1.57), (0.001,) * 3, (0.001,) * 3, 0.012,
+                        1.0, 30)  # fmt: skip
+    free.calibration = lambda: found
+    free.observe(SimpleNamespace(stamp=0.1, readings=(), state=state))
+    assert free.mapper.calibration is found
+    np.testing.assert_array_equal(
+        free.mapper.belief.rgbd.T_base_camera, found.applied(config).rgbd.T_base_camera
+    )
 
 
 def test_short_run_leaves_maps_that_can_be_loaded(tmp_path):

@@ -21,13 +21,20 @@ def test_the_short_hall_can_be_built_and_holds_fewer_racks():
     assert {"pick", "receiving", "goods_in", "rack 3"} <= set(stops(short))
 
 
-@pytest.mark.parametrize("scenario", ["odometry", "mapping"])
-def test_a_route_drawn_for_another_hall_is_refused_before_anything_runs(scenario, tmp_path, capsys):
+def test_a_route_drawn_for_another_hall_is_refused_before_anything_runs(tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["run", scenario, "--layout", str(SHORT), "--out", str(out)]) == 2
+    assert main(["run", "mapping", "--layout", str(SHORT), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and said.startswith(f"twin: {scenario}: its ")
+    assert said.count("\n") == 1 and said.startswith("twin: mapping: its route")
     assert "outside the hall" in said and not out.exists()
+
+
+def test_the_course_follows_the_walls_of_the_short_hall():
+    site = load_layout(SHORT).site
+    course = odometry.drawn_course(site)
+    assert course.east == pytest.approx((site.hall.x[1] - 0.65, site.hall.y[0] + 0.85))
+    for patch in odometry.patches(course, np.random.default_rng([0, 1])):
+        assert patch.x[1] < site.hall.x[1] + 1e-9
 
 
 @pytest.mark.parametrize("scenario, y", [(odometry, 0.0), (mapping, -0.6)])
@@ -47,6 +54,15 @@ def test_transport_follows_the_drawing_to_any_rack(file, rack):
         drawn = warehouse_qr.with_faults(layout, np.random.default_rng([seed, 2]))
         check_faults(drawn)  # what stands in the way finds room
         assert drawn.world.faults.tags[0].tag in [tag.name for tag in way[:-1]]
+
+
+@pytest.mark.parametrize("scenario", ["pick_line", "odometry", "warehouse_qr", "kidnap"])
+def test_the_scenarios_begin_in_the_short_hall(scenario, tmp_path):
+    """Without tags where they are not the point: for what leans on them there is another way."""
+    run = ["run", scenario, "--layout", str(SHORT), "--duration", "0.3", "--out", str(tmp_path)]
+    tags = [] if scenario == "warehouse_qr" else ["--set", NO_TAGS]
+    assert main([*run, *tags]) == 1  # cut short
+    assert (tmp_path / "report.json").exists() and not (tmp_path / "error.txt").exists()
 
 
 def test_a_tag_has_one_fault_alone():

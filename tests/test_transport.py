@@ -16,7 +16,7 @@ from twin.floor_plan import RACK
 from twin.geometry import pose2_to_transform, rot_x, transform
 from twin.layout import load_layout
 from twin.loop import Tick
-from twin.messages import Commands, Goal, StackState
+from twin.messages import Commands, Goal, StackState, TagSight
 from twin.plant.grips import Grip
 from twin.plant.world import Truth
 from twin.site import Tag
@@ -116,7 +116,7 @@ def fake_stack(pose=(5.2, 7.05, 0.0), bad=(), config=CONFIG):
         pose=np.array(pose),
         arms=(arm, arm),
         navigator=FakeNavigator(bad),
-        localiser=SimpleNamespace(fused=SimpleNamespace(history=history)),
+        localiser=SimpleNamespace(fused=SimpleNamespace(history=history), sights=[]),
         on_picture=None,
     )
 
@@ -158,6 +158,51 @@ def test_a_tag_out_of_reach_is_left_out_but_not_the_last():
     assert status is Status.SUCCESS and went[-1] == "tag R7"
     status, _ = drive(fake_stack(bad=("tag R7",)), 7)
     assert status is Status.FAILURE
+
+
+def closed(stack, tag: str, next_nodes: tuple[str, ...], action="fused"):
+    """From when the vehicle stands on a tag, that is read and says where ways lead."""
+    go = stack.navigator.go
+    at = {f"tag {t.name}": t.pose for t in TAGS}
+
+    def arrive(now, goal):
+        go(now, goal)
+        stack.pose = np.array(goal.pose)
+        read = goal.name == f"tag {tag}"
+        sight = TagSight(0.0, tag, action, np.array(at[f"tag {tag}"]), next_nodes)
+        stack.localiser.sights = [sight] if read else []
+
+    stack.navigator.go = arrive
+
+
+def test_a_tag_that_says_that_its_way_is_closed_is_believed():
+    """Expected: W3 leads to W2 alone now, not to P3: the way goes by the aisle further south."""
+    stack = fake_stack()
+    closed(stack, "W3", ("W2", "NEW"))
+    status, went = drive(stack, 7)
+    tags = [name.removeprefix("tag ") for name in went if name.startswith("tag")]
+    assert status is Status.SUCCESS
+    assert tags == ["W4", "W3", "W2", "P2", "M2", "Q2", "R7"]
+    assert "a tag says that no way leads on as drawn" in stack.arms[0].events
+
+
+@pytest.mark.parametrize(
+    "how", [{"next_nodes": ("P3", "W2")}, {"next_nodes": (), "action": "refused"}]
+)
+def test_hints_that_agree_or_are_not_believed_change_nothing(how):
+    stack = fake_stack()
+    closed(stack, "W3", **how)
+    status, went = drive(stack, 7)
+    route = [f"tag {t.name}" for t in tag_route(TAGS, "G0", "R7")[1:]]
+    assert status is Status.SUCCESS and [n for n in went if n.startswith("tag")] == route
+
+
+def test_a_tag_from_which_nothing_leads_on_ends_it_with_a_reason():
+    stack = fake_stack()
+    closed(stack, "W3", ())
+    status, _ = drive(stack, 7)
+    assert status is Status.FAILURE
+    assert "no way leads from tag W3" in stack.arms[0].events[-1]
 
 
 def test_a_graph_without_a_way_fails_with_a_reason():

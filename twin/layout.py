@@ -213,6 +213,7 @@ class Options(Strict):
     # How the photoelectric network corrects the pose: by all nodes, or by Liu et al.'s method.
     beacons: Literal["off", "all", "source"] = "off"
     beacon_calibration: str | None = None  # file of a `beacon_calibrate` run; else the drawing
+    aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
 
 
 class Layout(Strict):

@@ -286,6 +286,7 @@ class TagSight:
     tag: str
     action: str  # reset, fused or refused
     pose: Float  # (3,) x, y, yaw of the vehicle in world at the exposure, as believed afterwards
+    next_nodes: tuple[str, ...] = ()  # its route hint: tags that can be driven to from it
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ def _deviate(agv: mujoco.MjSpec, as_built: AsBuilt) -> None:
     _move(agv.body("mast_camera"), flip @ as_built.camera_mount @ inverse(flip))
     _move(agv.body("rgbd"), flip @ as_built.rgbd_mount @ inverse(flip))
     _move(agv.body("tag_camera"), flip @ as_built.tag_camera_mount @ inverse(flip))
-    _set_intrinsics(agv.camera("mast_camera"), as_built.camera_focal, np.zeros(2))
+    _set_intrinsics(agv.camera("mast_camera"), as_built.camera_focal, as_built.camera_centre)
     _set_intrinsics(agv.camera("rgbd"), as_built.rgbd_focal, as_built.rgbd_centre)
     _set_intrinsics(agv.camera("tag_camera"), as_built.tag_camera_focal, as_built.tag_camera_centre)
 

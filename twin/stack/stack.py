@@ -45,6 +45,7 @@ from twin.stack.estimation.odometry import WheelOdometry
 from twin.stack.estimation.site_map import SiteMap, floor_map, load_site_map
 from twin.stack.planning.drive import Drive
 from twin.stack.planning.navigator import Navigator
+from twin.stack.tasks.aisle import AisleKeeper
 from twin.stack.tasks.arm_worker import ArmWorker
 from twin.stack.tasks.beacon_mission import beacon_mission
 from twin.stack.tasks.course_mission import course_mission
@@ -96,6 +97,7 @@ class Stack:
         self.drive = Drive(config.drive)  # straight legs, without looking
         self.parker = Parker(config.drive)  # straight legs to a millimetre
         self.head: BeaconCalibrationRun | None = None  # while the network is calibrated
+        self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
         self.search = Search(config)
         self.detector = ContourDetector(config)
         self.tracker = Tracker(config)
@@ -168,6 +170,8 @@ class Stack:
         if self.mapper is not None:
             self.mapper.hear(reading, self.localiser.fused.history.at(reading.stamp))
         self.search.hear(reading)
+        if self.aisle is not None and isinstance(reading, LidarScan):
+            self.aisle.hear(reading)
         if not self.localiser.lost:
             self.navigator.hear(reading, pose)
         if isinstance(reading, RgbdFrame) and not self.drive.done:
@@ -196,7 +200,10 @@ class Stack:
             return self.navigator.step(stamp, self.pose, velocity)
         if self.parker.active:
             return self.parker.step(stamp, self.pose)
-        return self.drive.step(stamp, self.pose, velocity)
+        command = self.drive.step(stamp, self.pose, velocity)
+        if self.aisle is None or self.drive.done:
+            return command
+        return self.aisle.steered(stamp, self.drive.leg, command)
 
     def _may_search(self) -> bool:
         """Whether the vehicle is lost and nothing keeps it where it is: arms out, no order."""

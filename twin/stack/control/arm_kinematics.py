@@ -25,16 +25,6 @@ class Unreachable(ValueError):
     """No joint angles put the hand there. The message says why."""
 
 
-def down_pose(position, yaw: float) -> Array:
-    """`T_mount_tcp` of a hand that points straight down.
-
-    Args:
-        position: TCP in mount, m. Shape (3,).
-        yaw: direction in mount along which the fingers close, rad.
-    """
-    return transform(rot_z(yaw - np.pi / 2) @ rot_y(np.pi), position)
-
-
 class ArmKinematics:
     """Closed-form kinematics of one arm's drawing."""
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import zxingcpp
 
-from twin.geometry import Array, compose2, rot2, wrap_angle
+from twin.geometry import Array, compose2, rot2
 from twin.messages import CameraFrame, FloorFrame
 from twin.stack.config import Camera
 from twin.stack.detection.finder_patterns import drawn_centres, finder_centres
@@ -146,8 +146,3 @@ class TagReader:
 
     def _refuse(self, why: str) -> None:
         self.refused = why
-
-
-def heading_error(pose_base_tag: Array) -> float:
-    """Angle alpha from the tag's x axis to the vehicle's, rad (Xu et al., Fig. 6)."""
-    return float(wrap_angle(-pose_base_tag[2]))

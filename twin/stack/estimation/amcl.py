@@ -1,6 +1,6 @@
 """Adaptive Monte Carlo localisation on a known map.
 
-Particles move with the odometry (Xu et al., Eqs. 8-18), are weighed by the scan (Eqs. 19-22) and
+Particles move with the odometry (Xu et al., Eqs. 8-15), are weighed by the scan (Eqs. 19-22) and
 redrawn, as many as their spread asks for (Eq. 23). When scans fit worse than they used to, part of
 them is drawn where the scan fits on the whole map instead (augmented MCL, Thrun et al. 2005,
 Table 8.3), which brings back a vehicle that was carried away.

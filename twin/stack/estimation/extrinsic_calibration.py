@@ -197,8 +197,3 @@ def _huber(r: Array, k: float) -> Array:
 def _cost(r: Array, k: float) -> float:
     a = np.abs(r)
     return float(np.sum(np.where(a <= k, 0.5 * a**2, k * a - 0.5 * k**2)))
-
-
-def camera_in_base(T_base_lidar: Array, found: Extrinsics) -> Array:
-    """`T_base_camera` that follows from the lidar's pose in base. Shape (4, 4)."""
-    return T_base_lidar @ found.T_lidar_rgbd

@@ -132,11 +132,6 @@ class Localiser:
     def particles(self) -> int:
         return len(self.amcl.particles)
 
-    @property
-    def fit(self) -> float:
-        """Share of the last scan's beams that the map explains."""
-        return self.amcl.quality
-
     def relocate(self) -> None:
         """Give up the pose: search the whole map."""
         self.amcl.scatter()
@@ -290,7 +285,10 @@ class Localiser:
         decision = self._tags.update(
             fix, believed, covariance, lambda pose: self.amcl.fit(pose, reckoned)
         )
-        self.sights.append(TagSight(fix.stamp, fix.text.tag_id, decision.action, decision.pose))
+        text = fix.text
+        self.sights.append(
+            TagSight(fix.stamp, text.tag_id, decision.action, decision.pose, text.next_nodes)
+        )
         if decision.action == "refused":
             self.events.append(decision.reason)
             return

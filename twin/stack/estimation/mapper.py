@@ -161,16 +161,18 @@ class Mapper:
         Returns:
             None, or why it could not be done, in one line; the drawing's pose is then used.
         """
-        config, why = self.belief, None
         try:
-            self.calibration = self.run.solve()
+            self.adopt(self.run.solve())
         except ValueError as error:
-            why = str(error)
-        else:
-            config = self.calibration.applied(config)
-            self.slam.correct_ranges(self.calibration.lidar_range_offset)
-        self._use(config)
-        return why
+            self._use(self.belief)
+            return str(error)
+        return None
+
+    def adopt(self, calibration: Calibration) -> None:
+        """Use a calibration from now on; what the lidar has drawn so far is drawn anew by it."""
+        self.calibration = calibration
+        self.slam.correct_ranges(calibration.lidar_range_offset)
+        self._use(calibration.applied(self.belief))
 
     def _use(self, config: StackConfig) -> None:
         """Draw by a belief of the camera from now on."""

@@ -185,15 +185,14 @@ class Slam:
 
     def correct_ranges(self, offset: float) -> None:
         """Take a constant error of range, m, off the scans so far, and draw the maps anew."""
-        if offset == 0.0:
+        if offset == 0.0 or not self.key_frames:
             return
         for frame in self.key_frames:
             frame.scan = without_offset(frame.scan, offset)
             points = beam_points(frame.scan, self.settings.max_range)
             frame.points = compose_points(self._lidar_in_base, points)
         self.redraw()
-        if self.key_frames:
-            self._renew_field()
+        self._renew_field()
 
     def _draw_depth(self, depth: DepthScan, sensor: Array) -> None:
         model = self.settings.rgbd

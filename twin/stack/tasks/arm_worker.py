@@ -100,10 +100,6 @@ class ArmWorker:
     def free(self) -> bool:
         return self.phase is Phase.IDLE
 
-    @property
-    def holding(self) -> bool:
-        return self.phase in (Phase.CLOSING, Phase.CARRYING)
-
     def hear(self, reading: GripperReading | ArmReading) -> None:
         """Take a reading of this arm's gripper or joints; joints that do not follow stop it."""
         if isinstance(reading, GripperReading):

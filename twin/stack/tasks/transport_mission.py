@@ -6,6 +6,7 @@ tag to the rack, each tag a goal of the navigator, which finds its own way round
 between; there it is unloaded.
 """
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,6 +65,7 @@ class Transport:
         self._since = 0.0
         self._slot = Place((0.0, 0.0, 0.0), 0.0)
         self.rack = 0
+        self._hints: dict[str, tuple[str, ...]] = {}  # of tags that were read
 
     def say(self, text: str) -> None:
         self.stack.arms[ARM].events.append(text)
@@ -150,9 +152,24 @@ class Transport:
         """The last centimetres, straight."""
         self.stack.drive.start(self.stack.now, self.stack.pose, (self.rack_stop(),))
 
+    def read_tags(self) -> None:
+        """Note the route hints of the tags that were just read and believed."""
+        known = {tag.name for tag in self.config.site.tags}
+        for sight in self.stack.localiser.sights:
+            if sight.action != "refused" and sight.tag in known:
+                self._hints[sight.tag] = tuple(n for n in sight.next_nodes if n in known)
+
+    def tags(self) -> tuple[Tag, ...]:
+        """Those of the drawing; where one was read, ways lead on from it as it says itself."""
+        hints = self._hints
+        return tuple(
+            tag.model_copy(update={"next": hints.get(tag.name, tag.next)})
+            for tag in self.config.site.tags
+        )
+
     def route(self) -> list[Tag]:
         """Tags from here to the one at the rack."""
-        tags = self.config.site.tags
+        tags = self.tags()
         start, goal = (nearest_tag(tags, p) for p in (self.stack.pose, self.rack_stop()))
         way = tag_route(tags, start.name, goal.name)
         here = np.hypot(*np.subtract(start.pose[:2], self.stack.pose[:2])) < ARRIVED
@@ -185,31 +202,48 @@ def goals_along(pose: Array, route: list[Tag]) -> list[Goal]:
 
 
 class TagDrive(Behaviour):
-    """Drives from tag to tag; one on the way that cannot be reached is left out."""
+    """Drives from tag to tag; one on the way that cannot be reached is left out.
+
+    The way is that of the drawing until a tag that is driven over says that none leads on there.
+    """
 
     def __init__(self, name: str, job: Transport):
         super().__init__(name)
         self._job = job
         self._left: list[Goal] = []
+        self._route: list[Tag] = []
         self._last = True  # whether the tag under way is the route's last
         self._lost_way = False
 
     def initialise(self) -> None:
+        self._plan()
+
+    def _plan(self) -> None:
         self._last = self._lost_way = False
         try:
-            route = self._job.route()
-            self._job.say(f"from tag to tag: {' '.join(tag.name for tag in route)}")
-            self._left = goals_along(self._job.stack.pose, route)
+            self._route = self._job.route()
+            self._job.say(f"from tag to tag: {' '.join(tag.name for tag in self._route)}")
+            self._left = goals_along(self._job.stack.pose, self._route)
         except ValueError as error:
             self._job.say(f"transport: {error}")
             self._lost_way = True
 
+    def _leads_on(self) -> bool:
+        """Whether the way from tag to tag is one by all that has been read."""
+        leads = {tag.name: tag.next for tag in self._job.tags()}
+        return all(b.name in leads[a.name] for a, b in pairwise(self._route))
+
     def update(self) -> Status:
         stack = self._job.stack
+        self._job.read_tags()
         if self._lost_way:
             return Status.FAILURE
         if stack.navigator.active:
             return Status.RUNNING
+        if not self._last and not self._leads_on():
+            self._job.say("a tag says that no way leads on as drawn")
+            self._plan()
+            return Status.FAILURE if self._lost_way else Status.RUNNING
         if self._last:
             reached = stack.navigator.outcome == "reached"
             return Status.SUCCESS if reached else Status.FAILURE
