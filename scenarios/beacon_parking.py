@@ -40,7 +40,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     with Simulation(request, field, ParkOrder(0.0, poses), (watch,)) as sim:
         complete = sim.run(LONGEST, lambda tick: sim.stack.done)
         figures, table = metrics(sim, watch)
-        np.savez_compressed(request.out / "moves.npz", **table)
+        np.savez_compressed(request.out / "moves.npz", allow_pickle=False, **table)
         return sim.result(figures, CRITERIA, complete, watch.outcomes())
 
 

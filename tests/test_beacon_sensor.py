@@ -154,7 +154,7 @@ def test_noise_is_what_the_hardware_says():
 def test_line_of_sight_is_the_real_geometry():
     """A board before T1 hides it; one that misses the line does not."""
     board = '<geom type="box" size="0.01 0.1 0.1" pos="-0.4 {} 0.5"/>'
-    hidden, _ = batches(0.1, extra=board.format(1.87))
+    hidden, _ = batches(0.1, extra=board.format(1.99))
     clear, _ = batches(0.1, extra=board.format(1.3))
     assert crossings(hidden[0], "T1") == [] and sorted(crossings(hidden[0], "T2")) == [1, 2]
     assert sorted(crossings(clear[0], "T1")) == [1, 2]

@@ -184,7 +184,7 @@ def test_a_fix_outside_the_gate_changes_nothing():
 
 
 def heard(fusion: BeaconFusion, batch: StampBatch, stamp: float):
-    believed = POSE + (0.004, -0.003, 0.001), np.diag([6e-3, 6e-3, 3e-3]) ** 2, POSE
+    believed = POSE + np.array([0.004, -0.003, 0.001]), np.diag([6e-3, 6e-3, 3e-3]) ** 2, POSE
     return fusion.hear(message(batch, stamp), still(), 1e-6 * np.eye(3), believed)
 
 
@@ -210,7 +210,7 @@ def test_a_vehicle_that_was_carried_off_is_believed_after_a_while():
     fusion, rng, seen = BeaconFusion(config()), np.random.default_rng(0), world()
     for k in range(20):
         heard(fusion, seen.batch(rng), 1.0 + k / 30)
-    moved = world(POSE + (0.0, 0.5, 0.1))
+    moved = world(POSE + np.array([0.0, 0.5, 0.1]))
     what = [heard(fusion, moved.batch(rng), 1.7 + k / 30).reason for k in range(8)]
     assert what[0] == "refused by the estimate" and what[-1] == "fused"
     assert fusion.filter is not None
@@ -263,7 +263,7 @@ def test_a_file_that_cannot_be_used_is_told_in_one_line(change, said, tmp_path):
 def test_rubbish_is_no_calibration(content, tmp_path):
     path = tmp_path / "head.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match="head.json") as error:
+    with pytest.raises(ValueError, match=r"head\.json") as error:
         load_beacon_calibration(path)
     assert "\n" not in str(error.value)
 
@@ -302,7 +302,7 @@ def test_layouts_of_the_network_that_cannot_be_built(overrides, said):
 
 def test_parker_closes_in_and_stays():
     """A vehicle that answers at once, whose wheels do not start below 1 mm/s."""
-    parker, pose, goal = Parker(DriveLimits()), POSE.copy(), POSE + (0.3, -0.2, 0.1)
+    parker, pose, goal = Parker(DriveLimits()), POSE.copy(), POSE + np.array([0.3, -0.2, 0.1])
     parker.start(0.0, pose, goal)
     now = 0.0
     while parker.active and now < 20.0:
