@@ -3,7 +3,8 @@
 The source's Fig. 11 (Liu et al. 2022, section 3.2.1): each measurement is one turn of the head
 without memory, by the source's method on the three nodes that are best by their bound. On the same
 turns our estimator takes all nodes, and the filter goes on from turn to turn. A thousand turns more
-make the ratio of both methods sure to 2 %. World x is along the range, y and z across. `series.npz` in the run's folder holds the measured places.
+make the ratio of both methods sure to 2 %. World x is along the range, y and z across. `series.npz`
+in the run's folder holds the measured places.
 """
 
 import numpy as np

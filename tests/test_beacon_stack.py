@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from beacon_world import BeaconWorld
 
+from evaluation.beacon_field import STOPS
 from twin.geometry import compose2, inverse, pose2_to_transform, rot_x, rot_z, transform, wrap_angle
 from twin.layout import LayoutError, load_layout
 from twin.messages import BeaconStamps
 from twin.stack.config import DriveLimits, nominal_config
 from twin.stack.estimation.beacon_calibration import (
     BeaconCalibration,
+    BeaconCalibrationRun,
     calibrated,
     complete,
     load_beacon_calibration,
@@ -21,7 +23,7 @@ from twin.stack.estimation.beacon_calibration import (
 from twin.stack.estimation.beacon_fusion import BeaconFusion
 from twin.stack.estimation.beacon_receiver import BeaconReceiver, Located, locator, widest_four
 from twin.stack.estimation.beacons.rigid import exp_rotation, log_rotation
-from twin.stack.estimation.beacons.stamps import NoFix, StampBatch
+from twin.stack.estimation.beacons.stamps import HeadParameters, NoFix, StampBatch
 from twin.stack.estimation.pose_filter import PoseFilter
 from twin.stack.estimation.pose_history import PoseHistory
 from twin.stack.tasks.parking import NEAR, Parker
@@ -266,6 +268,30 @@ def test_rubbish_is_no_calibration(content, tmp_path):
     with pytest.raises(ValueError, match=r"head\.json") as error:
         load_beacon_calibration(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_calibration_drive_finds_planes_and_mount():
+    """Head 2 mm and 3 mrad off its drawing, planes 4 mrad; dead reckoning right to 0.5 mm."""
+    drawn, rng = config(), np.random.default_rng(0)
+    planes = HeadParameters(*(drawn.beacons.planes.as_array() + np.array([0.004, -0.003, 0.002])))
+    off = transform(exp_rotation(np.array([0.002, -0.001, 0.003])), (0.002, -0.001, 0.001))
+    true, run = drawn.beacons.T_base_head @ off, BeaconCalibrationRun(drawn)
+    for k, stop in enumerate(STOPS):
+        seen = world(np.array(stop), head=planes)
+        seen.T_base_head = true
+        error = rng.normal(0, 1, 3) * (5e-4, 5e-4, 2e-4)
+        run.begin(float(k), np.array(stop) + error, 1e-6 * (k + 1) * np.eye(3))
+        for _ in range(4):
+            run.hear(message(seen.batch(rng)))
+        run.end()
+    run.hear(message(seen.batch(rng)))  # on the way: left out
+    found = run.solve()
+    assert found.stops == len(STOPS) and found.turns == 4 * len(STOPS)
+    left = np.array(found.planes) - planes.as_array()
+    assert np.all(np.abs(left) < 5 * np.array(found.planes_sigma)) and np.abs(left).max() < 5e-4
+    T = found.applied(drawn).beacons.T_base_head
+    assert T[:3, 3] == pytest.approx(true[:3, 3], abs=1.5e-3)
+    assert np.linalg.norm(log_rotation(true[:3, :3].T @ T[:3, :3])) < 2e-3
 
 
 def test_turns_that_missed_a_crossing_are_left_out():
