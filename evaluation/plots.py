@@ -66,3 +66,35 @@ def plot_errors(axes: Axes, folder: Path) -> None:
             axes.plot(errors.stamps, 1e3 * errors.translation, label=label)
     axes.set(xlabel="time (s)", ylabel="position error (mm)")
     axes.legend()
+
+
+def plot_repeat(axes: Axes, folder: Path, method: str) -> None:
+    """Places of a vehicle at rest less their mean, by turn of the head: Liu et al. 2022, Fig. 11.
+
+    Args:
+        axes: to draw on.
+        folder: of a `beacon_repeat` run.
+        method: "source", "ours" or "filtered".
+    """
+    with np.load(folder / "series.npz") as series:
+        places = 1e3 * (series[method] - series[method].mean(axis=0))
+    for axis, values in zip("xyz", places.T, strict=True):
+        axes.plot(values, linewidth=0.7, label=f"{axis}: sigma {values.std():.2f} mm")
+    axes.set(xlabel="measurement", ylabel="error (mm)", title=method)
+    axes.legend()
+
+
+def plot_moves(axes: Axes, folder: Path) -> None:
+    """Residuals of the measured distance of moves, over the distance: Liu et al. 2022, Fig. 12.
+
+    Args:
+        axes: to draw on.
+        folder: of a `beacon_parking` run.
+    """
+    with np.load(folder / "moves.npz") as moves:
+        for name in ("source", "ours", "filtered"):
+            distance, residual = 1e3 * moves["distance"], 1e3 * moves[f"residual_{name}"]
+            axes.plot(distance, residual, "o", markersize=4, label=name)
+    axes.axhspan(-10, 10, color="0.93", zorder=0, label="+-10 mm, as printed")
+    axes.set(xlabel="moved distance (mm)", ylabel="residual (mm)")
+    axes.legend()

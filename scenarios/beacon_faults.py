@@ -21,6 +21,7 @@ from twin.layout import BeaconFaults, Layout
 from twin.messages import BeaconStamps, CourseOrder
 from twin.plant.plant import Plant
 from twin.plant.sensors.beacons import fitted_network
+from twin.site import Pose2
 from twin.stack.estimation.beacon_receiver import locator, stamp_batch
 from twin.stack.estimation.beacons.bound import pose_bound, position_sigma
 from twin.stack.estimation.beacons.fix import Fix, Locator
@@ -62,7 +63,8 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     try:
         plant.park([ArmWorker(i, config).motion.rest for i in range(2)])
         for k in range(PLACES):
-            bench.carry((rng.uniform(*X), rng.uniform(*Y), WEST + rng.uniform(-YAW, YAW)))
+            x, y, yaw = (float(rng.uniform(*span)) for span in (X, Y, (-YAW, YAW)))
+            bench.carry((x, y, WEST + yaw))
             for _ in range(TRIALS // PLACES):
                 trials.append(bench.trial(place))
             request.progress(bench.time, TRIALS * (k + 1) / PLACES / 30.0, f"place {k + 1}")
@@ -116,11 +118,10 @@ class Bench:
         """For which the network has run, s."""
         return self._before + self._here
 
-    def carry(self, pose) -> None:
+    def carry(self, pose: Pose2) -> None:
         """Put the vehicle down elsewhere, let it come to rest, and switch the network on."""
         plant, wheels = self._plant, np.zeros(4)
-        x, y, yaw = pose
-        plant.faults.carry_off((float(x), float(y), float(yaw)))
+        plant.faults.carry_off(pose)
         for _ in range(round(SETTLE / 0.002)):
             plant.step(wheels)
         self._T = plant.truth().T_world_base @ true_mount(plant)

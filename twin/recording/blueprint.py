@@ -52,6 +52,7 @@ def blueprint(site: Site) -> rrb.Blueprint:
         rrb.TimeSeriesView(name="drive", origin="drive"),
         rrb.TimeSeriesView(name="localisation", origin="localisation"),
         rrb.TimeSeriesView(name="goals", origin="goals"),
+        rrb.TimeSeriesView(name="photoelectric network", origin="network"),
     )
     events = rrb.Tabs(
         rrb.TextLogView(name="events", origin="events"),

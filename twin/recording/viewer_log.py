@@ -18,6 +18,7 @@ from twin.messages import (
     RgbdFrame,
     StackState,
 )
+from twin.recording.beacon_view import BeaconView
 from twin.recording.blueprint import blueprint
 from twin.recording.columns import Columns
 from twin.recording.scene import body_entities, draw
@@ -66,6 +67,7 @@ class ViewerLog:
         self._next = {"pose": 0.0, "path": 0.0, "flush": 0.0}
         self._path: dict[str, np.ndarray] = {}
         self._detected = -1.0
+        self._beacons = BeaconView(self._out, config)
         self._draw(config)
 
     def observe(self, tick: "Tick") -> None:
@@ -80,6 +82,10 @@ class ViewerLog:
             self.event(t, line)
         for sight in state.sights:
             self.event(sight.stamp, f"tag {sight.tag}: {sight.action}")
+        for sight in state.beacons:
+            self._beacons.draw(sight)
+            for name, value in self._beacons.sigma(sight).items():
+                self.plot(sight.stamp, name, value)
         if self._due("pose", t, POSE_PERIOD):
             self._poses(tick)
         if self._due("path", t, PATH_PERIOD):
