@@ -11,17 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.geometry import Array, rot2, wrap_angle
+from twin.geometry import Array, wrap_angle
 from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFrame
 from twin.stack.config import DriveLimits, StackConfig
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning.clearance import (
-    AX,
-    AY,
-    BX,
-    BY,
     Footprint,
-    nearest,
     room,
     room_back,
     room_to_turn,
@@ -58,10 +53,6 @@ class NavigatorOptions:
     tries: int = 4  # to come within it
     no_progress: float = 15.0  # s without coming nearer until recovery
     recoveries: int = 4  # of one goal, after which it is given up
-    look_ahead: float = 2.5  # s within which a band must not sweep over ground never looked at
-    look_apart: float = 0.4  # m between places from which it looks aside
-    look: float = 0.3  # s for a picture there: the camera's period and latency
-    in_view: float = math.radians(30.0)  # off the heading: seen without turning
     keep: float = 1.2  # m within which recovery forgets nothing: out of the camera's picture
 
 
@@ -236,16 +227,12 @@ class Navigator:
         if closing and not self._in_the_way:
             self._due = now + o.band_period
             return True
-        if now < self._looking_until and not self._in_the_way:
-            self._due = self._looking_until
-            return True
         start, speed = self._start(pose, velocity)
         reason = self._find_path(now, start)
         if not reason:
             # From here on: the band's horizon must not be used up by the way that lies behind.
             near = self._beside(now, self.route.left(start), start)
             plan = self._band(now, start, speed, near, None if moving_on else o.squeeze)
-            plan = self._look(now, start, speed, near, plan)
             reason = plan.reason
             if plan.trajectory is not None:
                 if self.follower.trajectory is not plan.trajectory:
@@ -272,33 +259,6 @@ class Navigator:
         if plan.trajectory is None and squeeze is not None:
             plan = self.teb.plan(now, start, speed, way, yaw, near, squeeze)
         return plan
-
-    def _look(self, now: float, start: Array, speed: Array, near: Array, plan: TebPlan) -> TebPlan:
-        """Turn the camera first to what a band would soon sweep over unseen; once a place."""
-        o, unseen = self.options, self.surroundings.unseen(start)
-        been = np.hypot(*(start[:2] - self._looked_at)) < o.look_apart
-        if plan.trajectory is None or len(unseen) == 0 or been:
-            return plan
-        phase = max(now - plan.trajectory.began, 0.0)
-        touch = plan.trajectory.touch(phase, self.footprint, unseen)
-        if touch > o.look_ahead:
-            return plan
-        x, y, yaw = plan.trajectory.motion(phase + touch)[0]
-        k = nearest(x, y, yaw, 0.0, self.footprint.half, unseen)[1]
-        a, b = unseen[k, [AX, AY]], unseen[k, [BX, BY]]
-        stop = start[:2] + rot2(start[2]) @ speed[:2] * 0.5 * self.follower.stopping_time()
-        aside = wrap_angle(math.atan2(*(0.5 * (a + b) - stop)[::-1]) - start[2])
-        if abs(aside) < o.in_view:
-            return plan
-        last = self.teb.last
-        turn = self.teb.plan(now, start, speed, stop[None], start[2] + aside, near)
-        if turn.trajectory is None:
-            self.teb.last = last
-            return plan
-        self._looked_at = start[:2].copy()
-        self._looking_until = now + turn.trajectory.duration + o.look
-        self.events.append(f"looks aside by {math.degrees(aside):.0f} degrees first")
-        return turn
 
     def _take(self, now: float, trajectory, start: Array) -> None:
         if trajectory.began == now:
@@ -405,7 +365,6 @@ class Navigator:
         self._blocked_since: float | None = None
         self._ended: float | None = None
         self._giving_up = ""
-        self._looking_until, self._looked_at = -math.inf, np.full(2, math.inf)
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()

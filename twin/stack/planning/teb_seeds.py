@@ -38,8 +38,20 @@ AHEAD, ABEAM = math.radians(50.0), math.radians(125.0)  # half the fields of vie
 TOUCH = 1000.0  # s that a metre too little of room counts: as good as closed
 GIVE = 0.20  # m by which a path may give way for it
 TIGHT = 0.04  # m of room that a heading should leave
-# Ahead or reversed, and m along the path after which the heading begins to turn into it.
-MODES = ((0.0, 0.0), (0.0, 0.4), (0.0, 0.8), (0.0, 1.4), (0.0, 2.4), (math.pi, 0.0))
+# Ahead or reversed, m along the path after which the heading begins to turn into it, and m along
+# the path to the point that it looks at: the camera sees the floor from 1.2 m ahead of the vehicle
+# on, so what lies behind a corner is only ever seen by one that looks into it before it is there.
+MODES = (
+    (0.0, 0.0, 2.4),
+    (0.0, 0.0, 1.4),
+    (0.0, 0.0, 0.0),
+    (0.0, 0.4, 0.0),
+    (0.0, 0.8, 0.0),
+    (0.0, 1.4, 0.0),
+    (0.0, 2.4, 0.0),
+    (math.pi, 0.0, 0.0),
+)
+SHORT_SIGHTED = 1.0  # s that a heading costs which looks no farther than it goes; 0.5 in part
 PASSES = 50
 FEWEST = 21  # points of a reference: turning on the spot has a profile too
 LEAN = 0.9  # of the limits that a first band uses
@@ -89,28 +101,37 @@ def headings(
     )
     if s[-1] < 2 * SPACING:
         return plain, _price(points, plain, limits)
-    along = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
-    along = np.append(along, along[-1])
     best, least = plain, _price(points, plain, limits)
     least += TOUCH * _tightness(points, plain, half, obstacles, TIGHT)
+    blind = SHORT_SIGHTED * min(s[-1] / MODES[0][2], 1.0)
+    least += blind
     blend = min(BLEND, 0.4 * s[-1])
     out = np.clip((s[-1] - s) / blend, 0.0, 1.0)
-    for turned, pivot in MODES:
+    for turned, pivot, sight in MODES:
         if pivot > s[-1] - 2 * blend and pivot > 0:
             continue
-        yaw = along + turned
+        yaw = _towards(points, s, sight) + turned
         yaw = yaw + 2 * math.pi * round((start - yaw[0]) / (2 * math.pi))
         end = yaw[-1] + wrap_angle(goal - yaw[-1])
         yaw = smoothed(yaw[:, None], PASSES)[:, 0]  # corners of the path turn early
         into = np.clip((s - pivot) / blend, 0.0, 1.0)
         yaw = start + into * (yaw - start)
         yaw = end + out * (yaw - end)
-        cost = _price(points, yaw, limits)
+        cost = _price(points, yaw, limits) + blind * (1.0 - sight / MODES[0][2])
         if cost < least:
             cost += TOUCH * _tightness(points, yaw, half, obstacles, TIGHT)
         if cost < least:
             best, least = yaw, cost
     return best, least
+
+
+def _towards(points: Array, s: Array, sight: float) -> Array:
+    """Unwrapped direction at each point of a path to the one `sight` m on. Shape (k,)."""
+    on = np.minimum(np.searchsorted(s, s + max(sight, 1e-9)), len(s) - 1)
+    on[:-1] = np.maximum(on[:-1], np.arange(1, len(s)))
+    d = points[on] - points
+    d[-1] = d[-2]
+    return np.unwrap(np.arctan2(d[:, 1], d[:, 0]))
 
 
 @njit(cache=True)
