@@ -150,9 +150,9 @@ class PictureSet:
         return len(self._at)
 
     def image(self, k: int) -> NDArray[np.uint8]:
-        """Pixels of one picture. Shape (480, 640, 3)."""
+        """Pixels of one picture, not to be written to. Shape (480, 640, 3)."""
         i, j = self._at[k]
-        return np.array(self._pixels[i][j])
+        return np.asarray(self._pixels[i][j])
 
     def digest(self) -> str:
         """SHA-256 over all pixels and labels: which pictures these are."""

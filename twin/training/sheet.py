@@ -19,7 +19,7 @@ def contact_sheet(
         if k >= len(pictures):
             tiles.append(np.zeros((240, 320, 3), np.uint8))
             continue
-        image, shot = pictures.image(k), pictures.shots[k]
+        image, shot = pictures.image(k).copy(), pictures.shots[k]
         for label in shot.labels:
             left, top, right, bottom = map(int, label.box)
             cv2.rectangle(image, (left, top), (right, bottom), COLOURS[label.index], 1)
