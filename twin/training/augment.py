@@ -57,7 +57,7 @@ class Augmenter:
                 for u in (0, half):
                     tile, some = self._crop(rng, half)
                     image[v : v + half, u : u + half] = tile
-                    found += [(box + (u, v, u, v), c, seen) for box, c, seen in some]
+                    found += [(np.add(box, (u, v, u, v)), c, seen) for box, c, seen in some]
         image = _lit(image, self._bank, rng)
         if rng.random() < 0.3:
             found = _cover(image, found, rng)
@@ -139,7 +139,9 @@ def _lit(
     lit = cv2.LUT(image, np.clip(table, 0, 255).astype(np.uint8))
     if rng.random() < 0.5:
         start = rng.integers(len(bank) - image.size)
-        noise = bank[start : start + image.size].reshape(image.shape) * np.float32(rng.uniform(0, 6))
+        noise = bank[start : start + image.size].reshape(image.shape) * np.float32(
+            rng.uniform(0, 6)
+        )
         lit = cv2.add(lit, noise, dtype=cv2.CV_8U)
     if rng.random() < 0.15:
         lit = cv2.GaussianBlur(lit, (0, 0), rng.uniform(0.4, 1.0))

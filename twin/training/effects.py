@@ -1,4 +1,4 @@
-"""From a clean rendering to what the camera sees: belt face, oil, motion, exposure, glare, noise."""
+"""From a clean rendering to what the camera sees: belt, oil, motion, exposure, glare, noise."""
 
 import cv2
 import numpy as np

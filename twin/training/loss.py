@@ -120,12 +120,9 @@ def loss(maps: list[Tensor], targets: list[Target], design: Design) -> dict[str,
         if len(n) == 0:
             continue
         count += len(n)
-        wanted = torch.stack(
-            [targets[i].boxes[k] for i, k in zip(n.tolist(), owner[n, v, u].tolist(), strict=True)]
-        )
-        classes = torch.stack(
-            [targets[i].classes[k] for i, k in zip(n.tolist(), owner[n, v, u].tolist(), strict=True)]
-        )
+        owners = list(zip(n.tolist(), owner[n, v, u].tolist(), strict=True))
+        wanted = torch.stack([targets[i].boxes[k] for i, k in owners])
+        classes = torch.stack([targets[i].classes[k] for i, k in owners])
         if design.ciou:
             box = box + (1 - ciou(decode(raw, stride)[n, v, u], wanted)).sum()
         else:

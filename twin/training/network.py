@@ -190,9 +190,7 @@ def multiplications(network: Detector, height: int, width: int) -> int:
         nonlocal total
         total += output.numel() * layer.weight[0].numel()
 
-    hooks = [
-        m.register_forward_hook(count) for m in network.modules() if isinstance(m, nn.Conv2d)
-    ]
+    hooks = [m.register_forward_hook(count) for m in network.modules() if isinstance(m, nn.Conv2d)]
     with torch.no_grad():
         network.eval()(torch.zeros(1, 3, height, width))
     for hook in hooks:

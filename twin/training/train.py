@@ -113,9 +113,7 @@ def batch_of(samples: list[Sample]) -> tuple[Tensor, list[Target]]:
     pixels = torch.from_numpy(np.stack([s.image for s in samples]))
     x = pixels.permute(0, 3, 1, 2).float() / 255.0 - 0.5  # channels last in memory, as wanted
     targets = [
-        Target(
-            torch.from_numpy(s.boxes), torch.from_numpy(s.classes), torch.from_numpy(s.ignored)
-        )
+        Target(torch.from_numpy(s.boxes), torch.from_numpy(s.classes), torch.from_numpy(s.ignored))
         for s in samples
     ]
     return x, targets
@@ -150,9 +148,10 @@ def _rate(plan: Plan, step: int) -> float:
 @torch.no_grad()
 def _average(averaged: Detector, network: Detector, step: int) -> None:
     keep = min(EMA, (1 + step) / (10 + step))
-    for mean, now in zip(averaged.state_dict().values(), network.state_dict().values(), strict=True):
+    now = network.state_dict()
+    for name, mean in averaged.state_dict().items():
         if mean.dtype.is_floating_point:
-            mean.lerp_(now, 1 - keep)
+            mean.lerp_(now[name], 1 - keep)
 
 
 def _save(folder: Path, step: int, network, averaged, optimiser) -> None:

@@ -1,0 +1,100 @@
+"""Connectors on the belt by the trained network, behind the same message as `contour`.
+
+The network says what lies where; the outline inside its box, fitted with the drawing of that one
+class, says how it lies (Li & An 2025, section 3.1). A part of which either is unsure is not told
+of: the next picture, 50 ms later, is a second look.
+"""
+
+import numpy as np
+
+from twin.geometry import Array
+from twin.messages import PART_CLASSES, CameraFrame, Detection
+from twin.stack.config import StackConfig
+from twin.stack.detection.box_outline import outline
+from twin.stack.detection.boxes import Boxes, read_maps
+from twin.stack.detection.classify import Classifier
+from twin.stack.detection.frames import fault_of
+from twin.stack.detection.network import Network
+from twin.stack.detection.roi import WIDTH, Region
+from twin.stack.detection.silhouette import projection
+from twin.stack.detection.window import belt_window
+
+MIN_FIT = 0.70  # IoU of the outline with the drawing: below, the pose is not to be relied on
+
+
+class NetworkDetector:
+    """Finds the parts on the belt in frames of the mast camera.
+
+    Args:
+        config: the drawing of vehicle, site and parts.
+        network: trained; the installed one by default.
+
+    Raises:
+        NetworkError: the installed network is not what its card says.
+    """
+
+    def __init__(self, config: StackConfig, network: Network | None = None):
+        self._line = config.site.line
+        self._P = projection(config.camera)
+        self._size = (config.camera.height, config.camera.width)
+        self._network = network or Network()
+        self._classifier = Classifier(config.parts, self._line.height)
+        self.reason: str | None = None  # why the last picture was not looked at
+
+    def detect(self, frame: CameraFrame, pose: Array) -> tuple[Detection, ...]:
+        """Parts that lie wholly inside the window; none, and a `reason`, for a bad picture.
+
+        Args:
+            frame: one picture.
+            pose: estimated pose of the base in world at exposure, (3,).
+        """
+        self.reason = fault_of(frame.image, *self._size)
+        if self.reason is not None:
+            return ()
+        polygon = belt_window(self._line, pose, self._P, self._size)
+        if len(polygon) < 3:
+            self.reason = "belt not in view"
+            return ()
+        boxes = self.look(frame, polygon)
+        found = [self._measure(frame, boxes, k, polygon) for k in range(len(boxes.box))]
+        return tuple(d for d in found if d is not None)
+
+    def look(self, frame: CameraFrame, polygon: Array) -> Boxes:
+        """What the network is sure of inside a polygon of the picture; boxes in its px."""
+        region = Region.around(polygon, self._size)
+        boxes = read_maps(
+            self._network(region.input(frame.image)), WIDTH, self._network.card.threshold
+        )
+        return Boxes(region.to_image(boxes.box), boxes.score, boxes.chances)
+
+    def _measure(self, frame, boxes: Boxes, k: int, polygon: Array) -> Detection | None:
+        """Outline and pose of one box."""
+        seen = outline(frame.image, boxes.box[k])
+        if seen is None:
+            return None
+        mask, contour, corner = seen
+        points = contour.astype(float) + corner
+        if not _inside(points, polygon):
+            return None  # partly outside the window
+        part_class = PART_CLASSES[int(boxes.part_class[k])]
+        fit = self._classifier.fit_class(part_class, mask, corner, self._P)
+        if fit is None or fit.iou < MIN_FIT:
+            return None
+        v, u = np.nonzero(mask)
+        return Detection(
+            part_class=part_class,
+            confidence=float(boxes.score[k]),
+            p_base=np.array([fit.pose[0], fit.pose[1], self._line.height]),
+            yaw=float(fit.pose[2]),
+            contour_px=points,
+            centroid_px=np.array([u.mean(), v.mean()]) + corner,
+            symmetric=fit.symmetric,
+        )
+
+
+def _inside(points: Array, polygon: Array) -> bool:
+    """Whether all points, (k, 2), lie in a convex polygon, (m, 2), of either sense."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    to = points[:, None, :] - polygon[None, :, :]
+    side = edges[None, :, 0] * to[:, :, 1] - edges[None, :, 1] * to[:, :, 0]
+    return bool((side >= 0).all() or (side <= 0).all())
