@@ -15,12 +15,12 @@ from twin.messages import PART_CLASSES
 from twin.stack.detection.boxes import iou
 
 FOUND = 0.5  # IoU
-SMALL = 32.0  # px at 416 input, longer side: a small part, as COCO's 32 x 32 px
+SMALL = 32.0  # px at the input, longer side: a small part, as COCO's 32 x 32 px
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One picture: what was there and what was reported. Boxes in px of one frame."""
+    """One picture: what was there and what was reported. Boxes in px of the network's input."""
 
     truth: Array  # (k, 4)
     truth_class: Array  # (k,)
@@ -29,7 +29,6 @@ class Judged:
     score: Array  # (n,)
     box_class: Array  # (n,)
     tags: frozenset[str] = frozenset()  # conditions
-    scale: float = 1.0  # px at 416 input a px here
 
 
 @dataclass
@@ -68,16 +67,20 @@ class Counts:
     pictures: int = 0
 
     @property
+    def accuracy_mean(self) -> float:
+        return float(np.mean([c.accuracy for c in self.classes]))
+
+    @property
     def accuracy_min(self) -> float:
-        return min(c.accuracy for c in self.classes)
+        return float(np.nanmin([c.accuracy for c in self.classes]))
 
     @property
     def recall_min(self) -> float:
-        return min(c.recall for c in self.classes)
+        return float(np.nanmin([c.recall for c in self.classes]))
 
     @property
     def precision_min(self) -> float:
-        return min(c.precision for c in self.classes)
+        return float(np.nanmin([c.precision for c in self.classes]))
 
 
 def count(pictures: Sequence[Judged], threshold: float, tag: str | None = None) -> Counts:
@@ -134,7 +137,7 @@ def _ap(pictures: Sequence[Judged], part_class: int, limit: float, small: bool) 
     wanted = 0
     for p in pictures:
         mine = p.truth_class == part_class
-        size = (p.truth[:, 2:] - p.truth[:, :2]).max(axis=1, initial=0.0) * p.scale
+        size = (p.truth[:, 2:] - p.truth[:, :2]).max(axis=1, initial=0.0)
         counted = mine & (size < SMALL) if small else mine
         wanted += int(counted.sum())
         truth, excused = p.truth[counted], np.vstack([p.ignored, p.truth[mine & ~counted]])

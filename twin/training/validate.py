@@ -21,7 +21,11 @@ INSIDE = 4.0  # px within the window's edge, where a part is surely wanted
 
 
 def judge_pictures(
-    pictures: PictureSet, config: StackConfig, maps: Maps, limit: int | None = None
+    pictures: PictureSet,
+    config: StackConfig,
+    maps: Maps,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Judged]:
     """What the network says of each picture beside what is there, in px of its input.
 
@@ -30,9 +34,12 @@ def judge_pictures(
         config: the drawing.
         maps: the network.
         limit: number of pictures, all without one.
+        progress: called with how many are done, and of how many.
     """
     judged = []
-    for k in range(min(limit or len(pictures), len(pictures))):
+    total = min(limit or len(pictures), len(pictures))
+    for k in range(total):
+        progress(k, total)
         shot = pictures.shots[k]
         region, window = region_of(shot, config), window_of(shot, config)
         boxes = read_maps(maps(region.input(pictures.image(k))), WIDTH, FAINT)

@@ -32,6 +32,9 @@ class Card:
     opset: int
     classes: tuple[str, ...]
     threshold: float  # score from which a detection counts, fixed on the validation part
+    parameters: int
+    held_out_sha256: str  # of the pictures that it was judged on
+    ablation: dict[str, dict[str, float]]  # figures of shorter trainings, by what was left out
 
     @classmethod
     def read(cls, folder: Path) -> "Card":
@@ -49,6 +52,9 @@ class Card:
                 opset=int(entry["opset"]),
                 classes=tuple(entry["classes"]),
                 threshold=float(entry["threshold"]),
+                parameters=int(entry["parameters"]),
+                held_out_sha256=str(entry["training"].get("held_out_sha256", "")),
+                ablation=dict(entry["training"].get("ablation", {})),
             )
         except OSError:
             raise NetworkError(f"{path}: the model card is missing") from None

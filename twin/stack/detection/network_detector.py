@@ -51,13 +51,17 @@ class NetworkDetector:
         self.reason = fault_of(frame.image, *self._size)
         if self.reason is not None:
             return ()
-        polygon = belt_window(self._line, pose, self._P, self._size)
+        polygon = self.window(pose)
         if len(polygon) < 3:
             self.reason = "belt not in view"
             return ()
         boxes = self.look(frame, polygon)
         found = [self._measure(frame, boxes, k, polygon) for k in range(len(boxes.box))]
         return tuple(d for d in found if d is not None)
+
+    def window(self, pose: Array) -> Array:
+        """The part of the belt that is looked at, as a polygon in the image. Shape (k, 2)."""
+        return belt_window(self._line, pose, self._P, self._size)
 
     def look(self, frame: CameraFrame, polygon: Array) -> Boxes:
         """What the network is sure of inside a polygon of the picture; boxes in its px."""
