@@ -30,7 +30,7 @@ def pose_figures(pictures, config: StackConfig, network: Network) -> dict[str, f
             continue
         glare = c.light == "glare"
         image = pictures.image(k)
-        detector = NetworkDetector(replace(config, camera=shot.camera(image.shape[:2])), network)
+        detector = NetworkDetector(replace(config, camera=shot.camera), network)
         pose = np.array(shot.pose)
         truths = [
             (label.part_class, between2(pose, label.pose))

@@ -11,6 +11,7 @@ import numpy as np
 from evaluation.detection import count
 from evaluation.detector_figures import as_notes, by_condition, figures, table2
 from evaluation.detector_poses import pose_figures
+from evaluation.judging import judge_pictures
 from evaluation.run import Criterion, RunRequest, RunResult
 from twin.layout import Layout, LayoutError
 from twin.messages import CameraFrame
@@ -18,7 +19,6 @@ from twin.stack.config import nominal_config
 from twin.stack.detection.network import Network, NetworkError
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.training.command import DATA, held_out
-from twin.training.validate import judge_pictures
 
 TIMED = 60  # frames of which the time is taken
 CRITERIA = [

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from evaluation.detection import average_precision, count, map50_95
+from evaluation.judging import judge_pictures
+from evaluation.pictures import PictureSet
 from twin.stack.config import StackConfig
-from twin.training.dataset import PictureSet
 from twin.training.network import Design, parameters, torch_maps
 from twin.training.train import SURE, Plan, train
-from twin.training.validate import judge_pictures
 
 DESIGNS: dict[str, Design] = {
     "all": Design(),

@@ -6,14 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.pictures import PictureSet, region_of
 from twin.geometry import Array
 from twin.stack.config import StackConfig
-from twin.stack.detection.roi import GREY, Region
-from twin.stack.detection.silhouette import projection
-from twin.stack.detection.window import belt_window
-from twin.training.dataset import PictureSet, Shot
+from twin.stack.detection.roi import GREY
 
-SIZE = (480, 640)  # px, of the pictures
 CROP = 128  # px
 ZOOM = (0.78, 1.28)  # about the scale at which the stack would look
 TURN_DEG = 12.0
@@ -107,17 +104,6 @@ class Augmenter:
             box = np.concatenate([hull.min(axis=0), hull.max(axis=0) + scale])
             found.append((np.clip(box, 0, size), label.index, share * label.visible))
         return np.asarray(image, np.uint8), found
-
-
-def region_of(shot: Shot, config: StackConfig) -> Region:
-    """Where the stack would look in this picture."""
-    return Region.around(window_of(shot, config), SIZE)
-
-
-def window_of(shot: Shot, config: StackConfig) -> Array:
-    """The belt that the stack would look at, as a polygon in the picture. Shape (k, 2)."""
-    P = projection(shot.camera(SIZE))
-    return belt_window(config.site.line, np.array(shot.pose), P, SIZE)
 
 
 def _clip(hull: Array, size: int) -> tuple[float, Array]:

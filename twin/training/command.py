@@ -5,9 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from evaluation.pictures import PictureSet
 from twin.layout import Layout
 from twin.stack.config import nominal_config
-from twin.training.dataset import PictureSet, make_set
+from twin.training.dataset import make_set
 from twin.training.domain import HELD_OUT, TRAINING
 
 DATA = Path("runs/detector")  # training/ and held-out/ are made in here, and the rest

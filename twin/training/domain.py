@@ -4,17 +4,13 @@ Training and held-out share no lamp direction, texture, belt colour or belt spee
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from evaluation.pictures import Angle, Condition, Height
 from twin.training.textures import Texture
 
 Span = tuple[float, float]
-Height = Literal["low", "pick", "high"]
-Angle = Literal["drawn", "tilted"]
-Light = Literal["normal", "dim", "side", "glare"]
-Content = Literal["parts", "clutter", "empty"]
 
 HEIGHTS: dict[Height, Span] = {"low": (-0.06, -0.03), "pick": (-0.004, 0.004), "high": (0.03, 0.08)}
 ANGLES: dict[Angle, Span] = {"drawn": (0.0, 0.8), "tilted": (4.0, 9.0)}  # deg from the drawn axis
@@ -50,22 +46,12 @@ HELD_OUT = Domain(
 )
 
 
-@dataclass(frozen=True)
-class Condition:
-    """What a picture is taken under; the report tells figures apart by these."""
-
-    height: Height
-    angle: Angle
-    light: Light
-    content: Content
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator) -> "Condition":
-        """Normal light in four of ten pictures, parts in nine of ten."""
-        pick = rng.choice
-        return cls(
-            height=pick(["low", "pick", "high"], p=[0.25, 0.45, 0.30]),
-            angle=pick(["drawn", "tilted"], p=[0.6, 0.4]),
-            light=pick(["normal", "dim", "side", "glare"], p=[0.4, 0.15, 0.15, 0.3]),
-            content=pick(["parts", "clutter", "empty"], p=[0.92, 0.05, 0.03]),
-        )
+def draw_condition(rng: np.random.Generator) -> Condition:
+    """Normal light in four of ten pictures, parts in nine of ten."""
+    pick = rng.choice
+    return Condition(
+        height=pick(["low", "pick", "high"], p=[0.25, 0.45, 0.30]),
+        angle=pick(["drawn", "tilted"], p=[0.6, 0.4]),
+        light=pick(["normal", "dim", "side", "glare"], p=[0.4, 0.15, 0.15, 0.3]),
+        content=pick(["parts", "clutter", "empty"], p=[0.92, 0.05, 0.03]),
+    )

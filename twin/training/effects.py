@@ -4,10 +4,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.pictures import Condition
 from twin.geometry import Array
 from twin.plant.sensors.camera import Optics
 from twin.plant.studio import BELT, Picture
-from twin.training.domain import Condition, Domain
+from twin.training.domain import Domain
 from twin.training.textures import PITCH, SHAPE, stains, texture
 
 SATURATED = 250  # grey value from which a pixel counts as saturated, in its brightest channel

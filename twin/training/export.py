@@ -9,13 +9,13 @@ from pathlib import Path
 import torch
 
 from evaluation.detection import average_precision, count
+from evaluation.judging import judge_pictures
+from evaluation.pictures import PictureSet
 from twin.messages import PART_CLASSES
 from twin.stack.config import StackConfig
 from twin.stack.detection.network import CARD, Network
 from twin.stack.detection.roi import HEIGHT, WIDTH
-from twin.training.dataset import PictureSet
 from twin.training.network import Detector, Exportable, multiplications, parameters
-from twin.training.validate import judge_pictures
 
 OPSET = 18
 FILE = "detector.onnx"

@@ -1,36 +1,15 @@
 """Exact labels of a picture, from the masks of the studio."""
 
-from dataclasses import asdict, dataclass
-
 import cv2
 import numpy as np
 
+from evaluation.pictures import Label
 from twin.geometry import Array
-from twin.messages import PART_CLASSES, PartClass
 from twin.plant.feeder import class_of
 from twin.plant.studio import Picture, Scene
 from twin.stack.detection.silhouette import Outline, draw, shifted
 
 MIN_PIXELS = 12  # fewer seen pixels are no label
-
-
-@dataclass(frozen=True)
-class Label:
-    """One part in a picture."""
-
-    part_class: PartClass
-    box: tuple[float, float, float, float]  # of what is seen: left, top, right, bottom, px
-    contour: list[tuple[int, int]]  # convex hull of what is seen, u and v
-    pose: tuple[float, float, float]  # x, y, yaw of the part frame in world
-    visible: float  # share of the part's outline that is seen
-
-    @property
-    def index(self) -> int:
-        """Of the class."""
-        return PART_CLASSES.index(self.part_class)
-
-    def to_json(self) -> dict:
-        return asdict(self)
 
 
 def labels_of(

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from evaluation.pictures import Condition
 from twin.geometry import Array, pose2_to_transform, rot2, rot_x, rot_y, rot_z, transform
 from twin.messages import PartClass
 from twin.plant.feeder import class_of
 from twin.plant.studio import Lamp, Scene
 from twin.plant.studio_clutter import OCCLUDER
 from twin.stack.config import StackConfig
-from twin.training.domain import ANGLES, HEIGHTS, Condition, Domain
+from twin.training.domain import ANGLES, HEIGHTS, Domain
 
 APART = 0.050  # m between parts that the feeder laid; real ones are 0.08 m apart
 CROWDED = 0.036  # m between parts in a tenth of the pictures: they touch

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.pictures import PictureSet
 from twin.messages import PART_CLASSES
-from twin.training.dataset import PictureSet
 
 COLOURS = ((255, 80, 80), (80, 255, 80), (90, 160, 255), (255, 230, 60), (255, 90, 255))
 

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from evaluation.detection import average_precision, count
+from evaluation.judging import judge_pictures
+from evaluation.pictures import PictureSet
 from twin.stack.config import StackConfig
 from twin.training.augment import Augmenter, Sample
-from twin.training.dataset import PictureSet
 from twin.training.loss import Target, loss
 from twin.training.network import Design, Detector, torch_maps
-from twin.training.validate import judge_pictures
 
 WARM_UP = 200  # steps in which the rate rises
 DECLINE = 0.3  # of the steps, the last ones, in which the rate falls to nearly nothing

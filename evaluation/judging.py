@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluation.detection import Judged
+from evaluation.pictures import PictureSet, Shot, region_of, window_of
 from twin.geometry import Array
 from twin.stack.config import StackConfig
 from twin.stack.detection.boxes import read_maps
 from twin.stack.detection.roi import WIDTH
-from twin.training.augment import region_of, window_of
-from twin.training.dataset import PictureSet, Shot
 
 Maps = Callable[[NDArray[np.uint8]], list[Array]]
 FAINT = 0.02  # score from which boxes are kept, for the whole curve of precision over recall
