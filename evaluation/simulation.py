@@ -14,6 +14,7 @@ from twin.recording.log import ReadingsLog
 from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import StackConfig, nominal_config
 from twin.stack.control_unit import ControlUnit
+from twin.stack.detection.network import NetworkError
 from twin.stack.stack import Stack
 
 WARM_UP = 2.0  # s left out of the real-time factor
@@ -45,6 +46,9 @@ class Simulation:
         self.plant = Plant(layout, request.seed, order)
         try:
             self.stack = Stack(self.config)
+        except NetworkError as error:
+            self.plant.close()
+            raise LayoutError(f"options.detector: {error}") from None
         except ValueError as error:  # a map that cannot be read
             self.plant.close()
             raise LayoutError(f"options.map: {error}") from None

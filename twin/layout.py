@@ -137,6 +137,7 @@ class Options(Strict):
     tags: bool = True  # floor tags correct the pose
     start_known: bool = True  # the vehicle is told that it starts in its dock
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
+    detector: Literal["contour", "network"] = "contour"  # what tells the connectors apart
 
 
 class Layout(Strict):

@@ -33,6 +33,7 @@ from twin.messages import (
 )
 from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
+from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.tracker import Tracker
 from twin.stack.estimation.distance import DistanceToPick
 from twin.stack.estimation.localiser import Localiser
@@ -87,7 +88,8 @@ class Stack:
         self.navigator = Navigator(config, drivable(config))
         self.drive = Drive(config.drive)  # straight legs, without looking
         self.search = Search(config)
-        self.detector = ContourDetector(config)
+        learned = config.options.detector == "network"
+        self.detector = NetworkDetector(config) if learned else ContourDetector(config)
         self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))

@@ -17,7 +17,7 @@ from twin.training.augment import Augmenter, Sample
 from twin.training.loss import Target, loss
 from twin.training.network import Design, Detector, torch_maps
 
-WARM_UP = 200  # steps in which the rate rises
+WARM_UP = 100  # steps in which the rate rises
 DECLINE = 0.3  # of the steps, the last ones, in which the rate falls to nearly nothing
 LAST_RATE = 0.02  # of the first
 EMA = 0.998  # of the weights that are validated and exported

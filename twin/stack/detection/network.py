@@ -33,6 +33,7 @@ class Card:
     classes: tuple[str, ...]
     threshold: float  # score from which a detection counts, fixed on the validation part
     parameters: int
+    mmac: float  # million multiply-accumulates at 416 x 416
     held_out_sha256: str  # of the pictures that it was judged on
     ablation: dict[str, dict[str, float]]  # figures of shorter trainings, by what was left out
 
@@ -53,6 +54,7 @@ class Card:
                 classes=tuple(entry["classes"]),
                 threshold=float(entry["threshold"]),
                 parameters=int(entry["parameters"]),
+                mmac=float(entry["mmac_416x416"]),
                 held_out_sha256=str(entry["training"].get("held_out_sha256", "")),
                 ablation=dict(entry["training"].get("ablation", {})),
             )
