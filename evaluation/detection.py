@@ -92,7 +92,7 @@ def count(pictures: Sequence[Judged], threshold: float, tag: str | None = None) 
         counts.pictures += 1
         sure = picture.score >= threshold
         boxes, classes = picture.box[sure], picture.box_class[sure]
-        owner = _match(picture.truth, boxes, picture.score[sure])
+        owner = match(picture.truth, boxes, picture.score[sure])
         for k, c in enumerate(picture.truth_class):
             row = counts.classes[int(c)]
             row.total += 1
@@ -143,7 +143,7 @@ def _ap(pictures: Sequence[Judged], part_class: int, limit: float, small: bool) 
         truth, excused = p.truth[counted], np.vstack([p.ignored, p.truth[mine & ~counted]])
         chosen = p.box_class == part_class
         boxes, score = p.box[chosen], p.score[chosen]
-        owner = _match(truth, boxes, score, limit)
+        owner = match(truth, boxes, score, limit)
         for n, box in enumerate(boxes):
             if owner[n] < 0 and _excused(box, excused):
                 continue
@@ -159,7 +159,7 @@ def _ap(pictures: Sequence[Judged], part_class: int, limit: float, small: bool) 
     return float((best * hit).sum() / wanted)
 
 
-def _match(truth: Array, boxes: Array, score: Array, limit: float = FOUND) -> Array:
+def match(truth: Array, boxes: Array, score: Array, limit: float = FOUND) -> Array:
     """Label that each box finds, -1 for none; each label is found once, by the surest. (n,)"""
     owner = np.full(len(boxes), -1)
     taken = np.zeros(len(truth), bool)
