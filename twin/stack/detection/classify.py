@@ -61,19 +61,8 @@ class Classifier:
             corner: pixel (u, v) of `seen[0, 0]` in the image.
             P: projection of base coordinates to the image, (3, 4).
         """
-        return self._fit(self._outlines, seen, corner, P)
-
-    def fit_class(
-        self, part_class: PartClass, seen: NDArray[np.uint8], corner: tuple[int, int], P: Array
-    ) -> Fit | None:
-        """Pose of a silhouette whose class is known. Arguments as for `classify`."""
-        return self._fit({part_class: self._outlines[part_class]}, seen, corner, P)
-
-    def _fit(
-        self, outlines: Mapping[PartClass, Outline], seen, corner: tuple[int, int], P: Array
-    ) -> Fit | None:
         P = shifted(P, *corner)
-        ranked = self._rank(outlines, seen, P)
+        ranked = self._rank(seen, P)
         target = moments(seen)
         if not ranked:
             return None
@@ -107,14 +96,14 @@ class Classifier:
         symmetric = self._drawings[name].symmetric or alike
         return Fit(name, pose, iou, float(1.0 / weight.sum()), symmetric)
 
-    def _rank(self, outlines, seen, P) -> list[tuple[float, PartClass, Array]]:
+    def _rank(self, seen, P) -> list[tuple[float, PartClass, Array]]:
         """Local maxima over yaw of each class, best IoU first; at half the resolution."""
         half = cv2.resize(seen * np.uint8(255), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         half = (half > 127).astype(np.uint8)
         P = shifted(P, 0, 0, 2.0)
         target = moments(half)
         found: list[tuple[float, PartClass, Array]] = []
-        for name, outline in outlines.items():
+        for name, outline in self._outlines.items():
             z = self._plane_z + self._drawings[name].height / 2
             x, y = ground_point(P, target[1], target[2], z)
             scores = scan(

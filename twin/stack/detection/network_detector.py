@@ -1,7 +1,7 @@
 """Connectors on the belt by the trained network, behind the same message as `contour`.
 
-The network says what lies where; the outline inside its box, fitted with the drawing of that one
-class, says how it lies (Li & An 2025, section 3.1). A part of which either is unsure is not told
+The network says what lies where; the drawing of that one class, laid over what is seen inside the
+box, says how it lies (Li & An 2025, section 3.1). A part of which either is unsure is not told
 of: the next picture, 50 ms later, is a second look.
 """
 
@@ -10,16 +10,16 @@ import numpy as np
 from twin.geometry import Array
 from twin.messages import PART_CLASSES, CameraFrame, Detection
 from twin.stack.config import StackConfig
-from twin.stack.detection.box_outline import outline
+from twin.stack.detection.box_outline import FACTOR, look_into
 from twin.stack.detection.boxes import Boxes, read_maps
-from twin.stack.detection.classify import Classifier
 from twin.stack.detection.frames import fault_of
 from twin.stack.detection.network import Network
+from twin.stack.detection.pose_fit import PoseFitter
 from twin.stack.detection.roi import WIDTH, Region
 from twin.stack.detection.silhouette import projection
 from twin.stack.detection.window import belt_window
 
-MIN_FIT = 0.70  # IoU of the outline with the drawing: below, the pose is not to be relied on
+MIN_QUALITY = 0.7  # of the fit: below, the pose is not to be relied on
 
 
 class NetworkDetector:
@@ -38,7 +38,7 @@ class NetworkDetector:
         self._P = projection(config.camera)
         self._size = (config.camera.height, config.camera.width)
         self._network = network or Network()
-        self._classifier = Classifier(config.parts, self._line.height)
+        self._fitters = {c: PoseFitter(d, self._line.height) for c, d in config.parts.items()}
         self.reason: str | None = None  # why the last picture was not looked at
 
     def detect(self, frame: CameraFrame, pose: Array) -> tuple[Detection, ...]:
@@ -73,25 +73,22 @@ class NetworkDetector:
 
     def _measure(self, frame, boxes: Boxes, k: int, polygon: Array) -> Detection | None:
         """Outline and pose of one box."""
-        seen = outline(frame.image, boxes.box[k])
-        if seen is None:
-            return None
-        mask, contour, corner = seen
-        points = contour.astype(float) + corner
-        if not _inside(points, polygon):
-            return None  # partly outside the window
+        box = boxes.box[k]
+        seen = look_into(frame.image, box)
+        if seen is None or not _inside(seen.contour, polygon):
+            return None  # nothing there, or partly outside the window
         part_class = PART_CLASSES[int(boxes.part_class[k])]
-        fit = self._classifier.fit_class(part_class, mask, corner, self._P)
-        if fit is None or fit.iou < MIN_FIT:
+        fitter = self._fitters[part_class]
+        fit = fitter.fit(seen.evidence, seen.corner, FACTOR, box, self._P)
+        if fit is None or fit.quality < MIN_QUALITY:
             return None
-        v, u = np.nonzero(mask)
         return Detection(
             part_class=part_class,
             confidence=float(boxes.score[k]),
             p_base=np.array([fit.pose[0], fit.pose[1], self._line.height]),
             yaw=float(fit.pose[2]),
-            contour_px=points,
-            centroid_px=np.array([u.mean(), v.mean()]) + corner,
+            contour_px=seen.contour,
+            centroid_px=seen.contour.mean(axis=0),
             symmetric=fit.symmetric,
         )
 
