@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from evaluation.pictures import PictureSet
 from twin.geometry import between2, wrap_angle
 from twin.messages import CameraFrame, Detection
 from twin.stack.config import StackConfig
@@ -12,49 +13,52 @@ from twin.stack.detection.network import Network
 from twin.stack.detection.network_detector import NetworkDetector
 
 NEAR = 0.02  # m: a detection farther from every part is of none of them
+CLOSE = 0.60  # m in base x: farther, a pixel is 2 mm of belt and more; the tracker waits for nearer
 
 
-def pose_figures(pictures, config: StackConfig, network: Network) -> dict[str, float]:
-    """Errors of detections of the right class at pick height, glare left out and alone.
+def pose_figures(pictures: PictureSet, config: StackConfig, network: Network) -> dict[str, float]:
+    """Errors of detections of the right class at pick height, glare apart from other light.
 
     Args:
         pictures: a labelled set, each picture with its own camera as calibrated.
         config: the drawing.
         network: trained.
     """
-    errors: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
-    wanted = {False: 0, True: 0}
+    errors: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
     for k, shot in enumerate(pictures.shots):
         c = shot.condition
         if c.height != "pick" or c.angle != "drawn":
             continue
-        glare = c.light == "glare"
-        image = pictures.image(k)
-        detector = NetworkDetector(replace(config, camera=shot.camera), network)
         pose = np.array(shot.pose)
         truths = [
             (label.part_class, between2(pose, label.pose))
             for label in shot.labels
             if label.visible > 0.95
         ]
-        wanted[glare] += len(truths)
-        for d in detector.detect(CameraFrame(0.0, image), pose):
+        detector = NetworkDetector(replace(config, camera=shot.camera), network)
+        for d in detector.detect(CameraFrame(0.0, pictures.image(k)), pose):
             error = _error(d, truths)
             if error is not None:
-                errors[glare].append(error)
+                errors[c.light == "glare"].append(error)
+    nothing = [(np.nan, np.nan, 0.0)]
+    calm, glare = (np.array(errors[g] or nothing) for g in (False, True))
     out = {}
-    for glare, suffix in ((False, ""), (True, "_glare")):
-        apart, axis = np.array(errors[glare] or [(np.nan, np.nan)]).T
+    for suffix, seen in (
+        ("", calm[calm[:, 2] < CLOSE]),
+        ("_window", calm),
+        ("_glare", glare[glare[:, 2] < CLOSE]),
+    ):
+        seen = seen if len(seen) else np.array(nothing)
         out |= {
-            f"poses{suffix}": float(len(errors[glare])),
-            f"centroid_error_p95_mm{suffix}": 1e3 * float(np.percentile(apart, 95)),
-            f"axis_error_p95_deg{suffix}": float(np.degrees(np.percentile(axis, 95))),
+            f"poses{suffix}": float(np.isfinite(seen[:, 0]).sum()),
+            f"centroid_error_p95_mm{suffix}": 1e3 * float(np.percentile(seen[:, 0], 95)),
+            f"axis_error_p95_deg{suffix}": float(np.degrees(np.percentile(seen[:, 1], 95))),
         }
     return out
 
 
-def _error(d: Detection, truths) -> tuple[float, float] | None:
-    """Distance, m, and angle, rad, from the part that a detection is of; None if it is of none."""
+def _error(d: Detection, truths) -> tuple[float, float, float] | None:
+    """Distance, m, angle, rad, and base x, m, of the part that a detection is of, if of any."""
     same = [p for c, p in truths if c == d.part_class]
     if not same:
         return None
@@ -63,4 +67,4 @@ def _error(d: Detection, truths) -> tuple[float, float] | None:
     if apart > NEAR:
         return None
     angle = abs(float(wrap_angle(d.yaw - pose[2])))
-    return apart, min(angle, np.pi - angle) if d.symmetric else angle
+    return apart, min(angle, np.pi - angle) if d.symmetric else angle, float(pose[0])

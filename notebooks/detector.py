@@ -14,7 +14,7 @@
 # %% [markdown]
 # # What the connector detector sees
 #
-# A few pictures with lights, belts and speeds that were never trained on, one for each kind of light,
+# Pictures with lights, belts and speeds that were never trained on, one for each kind of light,
 # with what the network reports. `twin run detect` has the figures over the whole held-out set.
 
 # %%
