@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test test-slow lint bench docs clean
+.PHONY: demo test test-slow test-train lint bench docs clean
 
 demo: $(VENV)/.runtime  ## Run the cell once with a recording
 	$(BIN)/twin run pick_line --record --out runs/demo; status=$$?; \
@@ -16,6 +16,9 @@ test: $(VENV)/.dev  ## The whole suite
 
 test-slow: $(VENV)/.dev  ## Reference figures of full runs: two hours or more
 	$(BIN)/python -m pytest -m slow
+
+test-train: $(VENV)/.train  ## Loss, assignment and a short training; needs PyTorch, 5 GB
+	$(BIN)/python -m pytest -m train
 
 lint: $(VENV)/.dev  ## Style, types, layers
 	$(BIN)/ruff check .
@@ -42,6 +45,10 @@ $(VENV)/.runtime: $(VENV)/bin/python pyproject.toml constraints.txt
 $(VENV)/.dev: $(VENV)/bin/python pyproject.toml constraints.txt
 	PYTHON=$(PYTHON) .ci/system
 	$(PIP) --editable '.[dev]'
+	touch $@
+
+$(VENV)/.train: $(VENV)/.dev
+	$(PIP) --editable '.[dev,train]'
 	touch $@
 
 clean:  ## Remove the environment and what tools leave; keeps runs/

@@ -7,9 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
 from evaluation.ape import pose_errors
+from evaluation.detection import Judged, match
+from evaluation.pictures import PictureSet, region_of
 from twin.floor_plan import machines
+from twin.messages import PART_CLASSES
 from twin.recording.tum import read_tum
 from twin.site import Site
+from twin.stack.config import StackConfig
 from twin.stack.estimation.map_file import load_map
 from twin.stack.estimation.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
@@ -98,3 +102,26 @@ def plot_moves(axes: Axes, folder: Path) -> None:
     axes.axhspan(-10, 10, color="0.93", zorder=0, label="+-10 mm, as printed")
     axes.set(xlabel="moved distance (mm)", ylabel="residual (mm)")
     axes.legend()
+
+
+def plot_detections(
+    axes: Axes, pictures: PictureSet, k: int, config: StackConfig, judged: Judged, threshold: float
+) -> None:
+    """A picture as the network gets it, with boxes: right, wrong, and what it did not find."""
+    image = region_of(pictures.shots[k], config).input(pictures.image(k))[0]
+    axes.imshow(image)
+    sure = judged.score >= threshold
+    owner = match(judged.truth, judged.box[sure], judged.score[sure])
+    for n, box in enumerate(judged.box[sure]):
+        named = int(judged.box_class[sure][n])
+        right = owner[n] >= 0 and judged.truth_class[owner[n]] == named
+        _box(axes, box, "lime" if right else "red")
+        axes.text(box[0], box[1] - 3, PART_CLASSES[named], color="w", fontsize=7)
+    for i in set(range(len(judged.truth))) - set(owner.tolist()):
+        _box(axes, judged.truth[i], "white")
+
+
+def _box(axes: Axes, box, colour: str) -> None:
+    left, top, right, bottom = box
+    corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    axes.add_patch(Polygon(corners, fill=False, color=colour))

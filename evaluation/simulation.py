@@ -6,7 +6,7 @@ from evaluation.belief import belief
 from evaluation.report import metrics_page
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.trajectories import TrajectoryMonitor
-from twin.layout import Layout
+from twin.layout import Layout, LayoutError
 from twin.loop import Loop, Observer, Tick
 from twin.messages import AnyOrder
 from twin.plant.live_viewer import LiveViewer
@@ -15,6 +15,7 @@ from twin.recording.log import ReadingsLog
 from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import StackConfig
 from twin.stack.control_unit import ControlUnit
+from twin.stack.detection.network import NetworkError
 from twin.stack.stack import Stack
 
 WARM_UP = 2.0  # s left out of the real-time factor
@@ -47,7 +48,11 @@ class Simulation:
         self.request = request
         self.config = config or belief(layout)
         self.plant = Plant(layout, request.seed, order)
-        self.stack = Stack(self.config)
+        try:
+            self.stack = Stack(self.config)
+        except NetworkError as error:
+            self.plant.close()
+            raise LayoutError(f"options.detector: {error}") from None
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None

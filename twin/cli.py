@@ -1,4 +1,4 @@
-"""The `twin` command: `twin list` and `twin run NAME`.
+"""The `twin` command: `twin list`, `twin run NAME` and `twin train-detector`.
 
 Exit codes: 0 the run met its criteria, 1 it fell short or was cut short, 2 bad input.
 """
@@ -29,6 +29,7 @@ from evaluation.run import RunRequest, RunResult
 from evaluation.run_folder import FolderError, RunFolder
 from twin.layout import Layout, LayoutError, load_layout
 from twin.recording.tum import write_tum
+from twin.training.command import DATA, TrainingError, TrainRequest, train_detector
 
 NOTES = 8  # of the last are printed
 
@@ -66,8 +67,28 @@ class Run:
     """Layout value as key=value: a dotted path or a short name such as belt_speed."""
 
 
+@dataclass(frozen=True)
+class TrainDetector:
+    """Make the detector's pictures, train it and export it; resumes what is half done."""
+
+    out: Path = DATA
+    """Folder of pictures, checkpoints and the exported network."""
+    seed: int = 0
+    """Of pictures and crops."""
+    pictures: int = 4000
+    """To draw; seven of ten are trained on."""
+    steps: int = 6000
+    """Of training, 32 crops each."""
+    ablation_steps: int = 0
+    """Of each shorter training without one of the improvements; 0 leaves them out."""
+    weights: Path | None = None
+    """Weights (npz) to begin with, such as models/detector/weights.npz."""
+
+
 Command = (
-    Annotated[List, tyro.conf.subcommand("list")] | Annotated[Run, tyro.conf.subcommand("run")]
+    Annotated[List, tyro.conf.subcommand("list")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[TrainDetector, tyro.conf.subcommand("train-detector")]
 )
 
 
@@ -84,8 +105,10 @@ def main(argv: Sequence[str] | None = None, package: str = "scenarios") -> int:
             if isinstance(command, List):
                 _list(package)
                 return 0
+            if isinstance(command, TrainDetector):
+                return _train(command)
             return _run(command, package)
-    except (InputError, LayoutError, FolderError, OSError) as error:
+    except (InputError, LayoutError, FolderError, TrainingError, OSError) as error:
         print(f"twin: {_one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -159,6 +182,25 @@ def _run(asked: Run, package: str) -> int:
     return 0 if report["passed"] else 1
 
 
+def _train(asked: TrainDetector) -> int:
+    for name in ("pictures", "steps"):
+        if getattr(asked, name) < 1:
+            raise InputError(f"--{name} {getattr(asked, name)}: must be 1 or greater")
+    for name in ("seed", "ablation_steps"):
+        if getattr(asked, name) < 0:
+            raise InputError(
+                f"--{name.replace('_', '-')} {getattr(asked, name)}: must be 0 or greater"
+            )
+    with _progress(unit="") as progress:
+        request = TrainRequest(
+            asked.out, asked.seed, asked.pictures, asked.steps, asked.ablation_steps,
+            asked.weights, progress,
+        )  # fmt: skip
+        network = train_detector(request, load_layout())
+    print(f"network and card in {network}; copy them to models/detector to use them")
+    return 0
+
+
 def _result(module: str, request: RunRequest, layout: Layout) -> RunResult:
     """Run a scenario; whatever breaks it off, there is something to report.
 
@@ -189,7 +231,7 @@ def _check(asked: Run) -> None:
         raise InputError("--viewer: no display here (neither DISPLAY nor WAYLAND_DISPLAY is set)")
 
 
-def _parse(argv: Sequence[str]) -> List | Run:
+def _parse(argv: Sequence[str]) -> List | Run | TrainDetector:
     """Parse arguments; tyro's boxed complaint becomes one line."""
     complaint = io.StringIO()
     try:
@@ -212,12 +254,13 @@ def _unbox(box: str, argv: Sequence[str]) -> str:
     lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()[1:-1]]
     end = next((i for i, line in enumerate(lines) if line.startswith("──")), len(lines))
     said = " ".join(line for line in lines[:end] if line)
-    if argv and argv[0] == "run":
+    known = {"run": Run, "train-detector": TrainDetector}
+    if argv and argv[0] in known:
         if said.startswith("Unrecognized"):
-            options = [f.name for f in fields(Run) if f.name != "name"]
+            options = [f.name.replace("_", "-") for f in fields(known[argv[0]]) if f.name != "name"]
             said += f"; choose from --{', --'.join(options)}"
-        return f"{said}; see twin run --help"
-    return f"{said.rstrip('.')}; choose from list, run; see twin --help"
+        return f"{said}; see twin {argv[0]} --help"
+    return f"{said.rstrip('.')}; choose from list, run, train-detector; see twin --help"
 
 
 def _repeat_set(argv: Sequence[str]) -> list[str]:
@@ -232,7 +275,7 @@ def _repeat_set(argv: Sequence[str]) -> list[str]:
 
 
 @contextlib.contextmanager
-def _progress():
+def _progress(unit: str = "s"):
     """Progress bar on the terminal; yields the callable of `RunRequest.progress`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -240,7 +283,7 @@ def _progress():
         task = bar.add_task("starting", total=None)
 
         def progress(sim_time: float, total: float, text: str) -> None:
-            about = f"{sim_time:6.1f} s  {escape(text)}"
+            about = f"{sim_time:6.1f} {unit}  {escape(text)}"
             bar.update(task, completed=sim_time, total=max(total, sim_time), description=about)
 
         yield progress

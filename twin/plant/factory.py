@@ -51,7 +51,7 @@ def build(
     spec = hall(layout, built)
     add_floor_tags(spec, layout, as_built.floor_seed)
     line = load_model(root, "line/line.xml")
-    _resize_line(line, layout.site.line)
+    resize_line(line, layout.site.line)
     line.geom("belt").friction[0] = layout.world.line.friction
     origin = (*layout.site.line.origin, layout.site.line.direction)
     attach(spec, line, built.machine("belt", origin), "line/", MASKS["standing"])
@@ -69,13 +69,13 @@ def build(
     add_obstacles(spec, layout.world.faults.obstacles, root)
     add_movers(spec, layout.world.faults.movers, root)
     store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)
-    _attach_parts(spec, root, store)
+    attach_parts(spec, root, store)
     if parcel:
         add_parcel(spec, layout, as_built.floor_seed, built, root)
     return spec
 
 
-def _resize_line(spec: mujoco.MjSpec, line: Line) -> None:
+def resize_line(spec: mujoco.MjSpec, line: Line) -> None:
     """Bring the drawn conveyor (2.5 x 0.2 m, face at 0.70 m) to the layout's size."""
     belt = spec.geom("belt")
     dl = line.length - 2 * belt.size[0]
@@ -173,7 +173,7 @@ def pool_counts(layout: Layout) -> dict[PartClass, int]:
     return {c: layout.world.order.get(c, 0) + SPARE for c in PART_CLASSES}
 
 
-def _attach_parts(spec: mujoco.MjSpec, root: Path, pool: dict[PartClass, int]) -> None:
+def attach_parts(spec: mujoco.MjSpec, root: Path, pool: dict[PartClass, int]) -> None:
     stored = 0
     for name in PART_CLASSES:
         part = load_model(root, f"connectors/{name}/{name}.xml")

@@ -36,6 +36,7 @@ from twin.messages import (
 )
 from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
+from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.tracker import Tracker
 from twin.stack.estimation.beacon_calibration import BeaconCalibrationRun
 from twin.stack.estimation.distance import DistanceToPick
@@ -99,7 +100,8 @@ class Stack:
         self.head: BeaconCalibrationRun | None = None  # while the network is calibrated
         self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
         self.search = Search(config)
-        self.detector = ContourDetector(config)
+        learned = config.options.detector == "network"
+        self.detector = NetworkDetector(config) if learned else ContourDetector(config)
         self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))

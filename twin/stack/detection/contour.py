@@ -8,15 +8,13 @@ blurred edge truly lies, so the outline of a bright face is no fatter than that 
 import cv2
 import numpy as np
 
-from twin.geometry import Array, between2, rot2
+from twin.geometry import Array
 from twin.messages import CameraFrame, Detection
 from twin.stack.config import StackConfig
 from twin.stack.detection.classify import Classifier
 from twin.stack.detection.silhouette import projection
+from twin.stack.detection.window import belt_window
 
-X_WINDOW = (0.33, 0.80)  # m in base: beyond, a part is too near to an arm or too small
-Y_WINDOW = (0.20, 0.80)
-EDGE_MARGIN = 0.004  # m, kept from the belt's edges
 BLUR = 0.3  # px
 CONTRAST = 22  # grey values above the belt that may be a part
 SHADE = 12  # grey values below the belt that are a bore
@@ -83,24 +81,7 @@ class ContourDetector:
 
     def window(self, pose: Array) -> Array:
         """The part of the belt that is looked at, as a polygon in the image. Shape (k, 2)."""
-        line = self._line
-        x, y, yaw = between2(pose, (*line.origin, line.direction))
-        half = line.width / 2 - EDGE_MARGIN
-        belt = [(0.0, -half), (line.length, -half), (line.length, half), (0.0, half)]
-        belt = np.array(belt) @ rot2(float(yaw)).T + np.array([x, y])
-        (x0, x1), (y0, y1) = X_WINDOW, Y_WINDOW
-        view = np.array([(x0, y0), (x0, y1), (x1, y1), (x1, y0)])
-        shape = _intersection(belt, view)
-        if len(shape) < 3:
-            return shape
-        ones = np.ones(len(shape))
-        p_base = np.column_stack([shape, line.height * ones, ones])
-        uvw = p_base @ self._P.T
-        if (uvw[:, 2] < 0.05).any():
-            return np.empty((0, 2))
-        height, width = self._size
-        image = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)])
-        return _intersection(uvw[:, :2] / uvw[:, 2:], image)
+        return belt_window(self._line, pose, self._P, self._size)
 
     def _measure(self, above, below, box, offset) -> Detection | None:
         """Outline, class and pose of one blob of the cropped picture."""
@@ -132,9 +113,3 @@ class ContourDetector:
             centroid_px=centroid,
             symmetric=fit.symmetric,
         )
-
-
-def _intersection(first: Array, second: Array) -> Array:
-    """Common part of two convex polygons; empty where they do not meet. Shape (k, 2)."""
-    _, shape = cv2.intersectConvexConvex(first.astype(np.float32), second.astype(np.float32))
-    return np.empty((0, 2)) if shape is None else np.asarray(shape, float).reshape(-1, 2)

@@ -17,7 +17,7 @@ import numpy as np
 from twin.geometry import Array, between2, compose2, rot2, wrap_angle
 from twin.messages import PART_CLASSES, Detection, PartClass, TrackedPart
 from twin.stack.config import StackConfig
-from twin.stack.detection.contour import X_WINDOW
+from twin.stack.detection.window import X_WINDOW
 
 GATE = 0.04  # m; parts are fed at least 0.08 m apart
 MEMORY = 60  # observations a track, three seconds at 20 Hz

@@ -1,0 +1,90 @@
+"""The connector detector on pictures with lights, belts and speeds it was never trained on.
+
+Li & An 2025, table 2, row by row, on the held-out set; then poses at pick height against the truth,
+and what a picture costs. The pictures are made on the first run (some minutes) in runs/detector.
+"""
+
+import time
+
+import numpy as np
+
+from evaluation.detection import count
+from evaluation.detector_figures import as_notes, by_condition, figures, table2
+from evaluation.detector_poses import pose_figures
+from evaluation.judging import judge_pictures
+from evaluation.run import Criterion, RunRequest, RunResult
+from twin.layout import Layout, LayoutError
+from twin.messages import CameraFrame
+from twin.stack.config import nominal_config
+from twin.stack.detection.network import Network, NetworkError
+from twin.stack.detection.network_detector import NetworkDetector
+from twin.training.command import DATA, held_out
+
+TIMED = 60  # frames of which the time is taken
+CRITERIA = [
+    Criterion("accuracy_min", ">=", 0.99),
+    Criterion("recall_min", ">=", 0.99),
+    Criterion("accuracy_min_glare", ">=", 0.97),
+    Criterion("map50", ">=", 0.97),
+    Criterion("centroid_error_p95_mm", "<=", 1.0),
+    Criterion("axis_error_p95_deg", "<=", 2.0),
+    Criterion("latency_ms", "<=", 15.0),
+]
+
+
+def run(request: RunRequest, layout: Layout) -> RunResult:
+    """The held-out set from end to end."""
+    config = nominal_config(layout.site, layout.options)
+    try:
+        network = Network()
+    except NetworkError as error:
+        raise LayoutError(str(error)) from None
+    began = time.perf_counter()
+    pictures = held_out(DATA, layout, request.progress)
+    judged = judge_pictures(
+        pictures,
+        config,
+        network,
+        progress=lambda k, n: request.progress(k, n, "looking"),
+    )
+    threshold = network.card.threshold
+    metrics = figures(judged, threshold)
+    metrics["saturated_min_glare"] = min(
+        s.saturated for s in pictures.shots if s.condition.light == "glare" and s.labels
+    )
+    metrics |= pose_figures(pictures, config, network)
+    metrics["latency_ms"] = latency(network, config, pictures, layout)
+    metrics["parameters"] = float(network.card.parameters)
+    notes = [
+        *by_condition(judged, threshold),
+        *ablation_lines(network),
+        *as_notes(table2(count(judged, threshold))),
+    ]
+    same = pictures.digest() == network.card.held_out_sha256
+    if not same:
+        notes.insert(0, "the pictures are not those of the model card (another renderer?)")
+    wall = time.perf_counter() - began
+    return RunResult(metrics, CRITERIA, wall_time=wall, complete=True, notes=notes)
+
+
+def latency(network: Network, config, pictures, layout: Layout) -> float:
+    """Median time of one picture from camera frame to boxes, ms, on one thread."""
+    detector = NetworkDetector(config, network)
+    pose = np.array(layout.site.pick)
+    polygon = detector.window(pose)
+    times = []
+    for k in range(min(TIMED, len(pictures))):
+        frame = CameraFrame(0.0, pictures.image(k).copy())
+        start = time.perf_counter()
+        detector.look(frame, polygon)
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def ablation_lines(network: Network) -> list[str]:
+    """What each improvement was worth when the network was trained; from the model card."""
+    return [
+        f"ablation, {line['steps']:.0f} steps, {name}: mAP50 {line['map50']:.4f}, small parts"
+        f" {line['map50_small']:.4f}, mAP50-95 {line['map50_95']:.4f}"
+        for name, line in network.card.ablation.items()
+    ]

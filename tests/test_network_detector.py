@@ -1,0 +1,105 @@
+"""From boxes to poses: a stand-in for the network says where the parts are; the rest is real."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from belt_frames import errors, load
+
+from twin.layout import load_layout
+from twin.messages import PART_CLASSES
+from twin.stack.config import nominal_config
+from twin.stack.detection.box_outline import FACTOR, look_into
+from twin.stack.detection.network_detector import NetworkDetector
+from twin.stack.detection.pose_fit import PoseFitter
+from twin.stack.detection.roi import HEIGHT, WIDTH, Region
+from twin.stack.detection.silhouette import projection
+
+layout = load_layout()
+config = nominal_config(layout.site, layout.options)
+P = projection(config.camera)
+
+
+def box_of(part_class, x, y, yaw):
+    """Box of the drawing's outline in the picture."""
+    points = np.concatenate(config.parts[part_class].solids)
+    c, s = np.cos(yaw), np.sin(yaw)
+    xy = points[:, :2] @ [[c, s], [-s, c]] + (x, y)
+    p = np.column_stack([xy, points[:, 2] + layout.site.line.height, np.ones(len(points))]) @ P.T
+    uv = p[:, :2] / p[:, 2:] + 0.5
+    return np.array([*uv.min(axis=0), *uv.max(axis=0)])
+
+
+class AllKnowing:
+    """Maps in which one cell of the finest map speaks for each label."""
+
+    card = SimpleNamespace(threshold=0.5)
+
+    def __init__(self, labels, polygon, doubt=0.0):
+        region = Region.around(polygon, (480, 640))
+        self._maps = [np.full((HEIGHT // s, WIDTH // s, 10), -20.0) for s in (4, 16, 32)]
+        for part_class, *pose in labels:
+            box = region.to_input(box_of(part_class, *pose)[None])[0]
+            cx, cy = (box[:2] + box[2:]) / 2
+            u, v = int(cx // 4), int(cy // 4)
+            if 0 <= v < HEIGHT // 4 and 0 <= u < WIDTH // 4:
+                cell = self._maps[0][v, u]
+                cell[:2] = cx / 4 - u - 0.5, cy / 4 - v - 0.5
+                cell[2:4] = np.log((box[2:] - box[:2]) / 4)
+                cell[4] = 6.0 - doubt
+                cell[5 + PART_CLASSES.index(part_class)] = 0.0
+
+    def __call__(self, image):
+        return self._maps
+
+
+def detect(frame, pose, labels, doubt=0.0):
+    polygon = NetworkDetector(config, AllKnowing([], np.zeros((1, 2)))).window(pose)
+    detector = NetworkDetector(config, AllKnowing(labels, polygon, doubt))
+    return detector.detect(frame, pose)
+
+
+def test_poses_on_stored_pictures():
+    """Expected up close: centroid within 1 mm and axis within 3 degrees at p95."""
+    results, visible = [], 0
+    for frame, pose, labels in load():
+        results += errors(detect(frame, pose, labels), labels)
+        visible += sum(0.38 < x < 0.75 for _, x, _, _ in labels)
+    right, distance, angle, x = np.array(results, float).T
+    near = (x > 0.35) & (x < 0.60)
+    assert len(results) >= 0.95 * visible and right.all()
+    assert np.percentile(distance[near], 95) < 1e-3
+    assert np.percentile(angle[near], 95) < np.radians(3.0)
+
+
+def test_unsure_means_look_again():
+    frame, pose, labels = load()[0]
+    assert detect(frame, pose, labels)
+    assert detect(frame, pose, labels, doubt=7.0) == ()
+
+
+def test_a_box_on_bare_belt_is_no_part():
+    frame, pose, labels = load()[0]
+    c, x, y, yaw = max(labels, key=lambda p: 0.38 < p[1] < 0.7)
+    elsewhere = [(c, x, y + (0.05 if y < 0.45 else -0.05), yaw)]
+    assert all(
+        np.hypot(d.p_base[0] - x, d.p_base[1] - y) > 0.03 for d in detect(frame, pose, elsewhere)
+    )
+
+
+def test_same_either_way_round_is_told():
+    """A plain block fits as well turned by half a turn; an adapter does not."""
+    frame, _, labels = load()[0]
+    c, *at = next(p for p in labels if p[0] in ("sma_f_n_m", "sma_m_n_m") and 0.38 < p[1] < 0.7)
+    box = box_of(c, *at)
+    seen = look_into(frame.image, box)
+    fit = PoseFitter(config.parts[c], layout.site.line.height).fit(
+        seen.evidence, seen.corner, FACTOR, box, P
+    )
+    assert not fit.symmetric and fit.quality > 0.8
+
+
+@pytest.mark.parametrize("box", [(-30, -30, -10, -10), (630, 470, 700, 520), (100, 100, 101, 101)])
+def test_boxes_at_the_picture_s_edge_do_no_harm(box):
+    image = np.random.default_rng(0).integers(0, 80, (480, 640, 3), np.uint8)
+    look_into(image, np.array(box, float))

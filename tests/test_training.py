@@ -1,0 +1,153 @@
+"""Loss and assignment by hand, and a short training that lowers the loss; `make test-train`."""
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.train
+
+from twin.layout import load_layout  # noqa: E402
+from twin.stack.config import nominal_config  # noqa: E402
+from twin.stack.detection.boxes import read_maps  # noqa: E402
+from twin.training import loss as losses  # noqa: E402
+from twin.training.dataset import make_set  # noqa: E402
+from twin.training.domain import TRAINING  # noqa: E402
+from twin.training.loss import Target, assign, ciou, decode, encode, loss  # noqa: E402
+from twin.training.network import Design, Detector, parameters  # noqa: E402
+from twin.training.train import Plan, load_weights, save_weights, train  # noqa: E402
+
+layout = load_layout()
+config = nominal_config(layout.site, layout.options)
+
+
+def target(*boxes, ignored=()) -> Target:
+    return Target(
+        torch.tensor([b for _, b in boxes], dtype=torch.float32).reshape(-1, 4),
+        torch.tensor([c for c, _ in boxes], dtype=torch.long),
+        torch.tensor(ignored, dtype=torch.float32).reshape(-1, 4),
+    )
+
+
+def test_a_small_part_belongs_to_the_nine_cells_about_its_centre():
+    t = target((2, (30, 30, 50, 50)))  # centre 40, 40: cells 9 and 10 lie within 6 px of it
+    owner, empty = assign(t, 4, 0.0, 32, 32)
+    cells = torch.nonzero(owner == 0).tolist()
+    assert cells == [[v, u] for v in (9, 10) for u in (9, 10)] or len(cells) == 4
+    assert not empty[owner == 0].any() and empty.sum() == 32 * 32 - len(cells)
+    assert (assign(t, 16, 64.0, 8, 8)[0] < 0).all()
+
+
+def test_a_large_part_belongs_to_the_coarse_map():
+    t = target((1, (0, 0, 90, 60)))
+    assert (assign(t, 4, 0.0, 32, 32)[0] < 0).all()
+    assert (assign(t, 16, 64.0, 8, 8)[0] == 0).any()
+
+
+def test_hardly_seen_parts_are_neither_there_nor_empty():
+    owner, empty = assign(target(ignored=[(0, 0, 16, 16)]), 4, 0.0, 8, 8)
+    assert (owner < 0).all()
+    assert not empty[:4, :4].any() and empty[4:, :].all()
+
+
+def test_the_nearer_of_two_parts_gets_the_cell():
+    t = target((0, (0, 0, 16, 16)), (1, (8, 0, 24, 16)))
+    owner, _ = assign(t, 4, 0.0, 8, 8)
+    assert owner[2, 1] == 0 and owner[2, 4] == 1
+
+
+def test_ciou_by_hand():
+    a = torch.tensor([[0.0, 0, 10, 10]])
+    assert ciou(a, a).item() == pytest.approx(1.0, abs=1e-4)
+    b = torch.tensor([[5.0, 0, 15, 10]])  # IoU 1/3; centres 5 apart, hull 15 x 10
+    assert ciou(a, b).item() == pytest.approx(1 / 3 - 25 / 325, abs=1e-4)
+    far = torch.tensor([[100.0, 0, 110, 10]])
+    assert -1 < ciou(a, far).item() < 0
+
+
+def test_ciou_properties():
+    rng = torch.Generator().manual_seed(0)
+    low = torch.rand(200, 2, generator=rng) * 50
+    a = torch.cat([low, low + 1 + torch.rand(200, 2, generator=rng) * 40], dim=1)
+    b = a[torch.randperm(200, generator=rng)]
+    value = ciou(a, b)
+    assert (value <= 1 + 1e-5).all() and (value > -2).all()
+    torch.testing.assert_close(value, ciou(b, a), rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(value, ciou(a * 3 + 7, b * 3 + 7), rtol=1e-3, atol=1e-3)
+
+
+def test_the_stack_reads_what_the_loss_trains():
+    raw = torch.zeros(1, 10, 80, 104)
+    raw[:, 4] = -20
+    v, u = torch.tensor([12]), torch.tensor([30])
+    box = torch.tensor([[100.0, 40, 141, 63]])
+    raw[0, :4, v, u] = encode(box, v, u, 4).T
+    raw[0, 4, v, u] = 9.0
+    raw[0, 8, v, u] = 9.0
+    torch.testing.assert_close(decode(raw, 4)[0, 12, 30], box[0])
+    empty = [np.full((20, 26, 10), -20.0), np.full((10, 13, 10), -20.0)]
+    boxes = read_maps([raw[0].permute(1, 2, 0).numpy(), *empty], 416, 0.5)
+    np.testing.assert_allclose(boxes.box, box.numpy(), atol=1e-3)
+    assert boxes.part_class.tolist() == [3]
+
+
+@pytest.mark.parametrize("ciou_on", [True, False])
+def test_loss_falls_to_nothing_for_a_perfect_answer(ciou_on):
+    design = Design(ciou=ciou_on)
+    t = target((3, (20, 20, 50, 44)))
+    maps = [torch.zeros(1, 10, 128 // s, 128 // s) for s in (4, 16, 32)]
+    for m in maps:
+        m[:, 4] = -12.0
+    before = loss(maps, [t], design)
+    owner, _ = assign(t, 4, 0.0, 32, 32)
+    v, u = torch.nonzero(owner == 0, as_tuple=True)
+    boxes = t.boxes.expand(len(v), 4)
+    maps[0][0, :4, v, u] = encode(boxes, v, u, 4).T
+    maps[0][0, 4, v, u] = 12.0
+    maps[0][0, 8, v, u] = 20.0
+    after = loss(maps, [t], design)
+    assert after["total"] < 1e-3 < before["total"]
+
+
+def test_loss_of_an_empty_picture_is_finite():
+    maps = [torch.zeros(1, 10, n, n, requires_grad=True) for n in (32, 8, 4)]
+    total = loss(maps, [target()], Design())["total"]
+    total.backward()
+    assert torch.isfinite(total)
+
+
+@pytest.mark.parametrize("design", [Design(), Design(attention=False), Design(fine_map=False)])
+def test_sizes(design):
+    network = Detector(design).eval()
+    assert parameters(network) <= 500_000
+    maps = network(torch.zeros(1, 3, 416, 416))
+    assert [m.shape[-1] for m in maps] == [416 // s for s in network.strides]
+    assert (104 in [m.shape[-1] for m in maps]) == design.fine_map
+
+
+def test_a_short_training_lowers_the_loss_and_resumes(tmp_path, monkeypatch):
+    make_set(tmp_path / "set", layout, TRAINING, 0, 20)
+    from twin.training import train as module
+
+    monkeypatch.setattr(module, "SAVE_EVERY", 20)
+    plan = Plan(steps=60, batch=8)
+    train(tmp_path / "run", tmp_path / "set", config, Design(), Plan(40, batch=8))
+    network = train(tmp_path / "run", tmp_path / "set", config, Design(), plan)
+    log = [json.loads(x) for x in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    totals = [e["total"] for e in log if "total" in e]
+    assert [e["step"] for e in log if "total" in e] == [20, 40, 60]
+    assert totals[-1] < 0.9 * totals[0]
+    save_weights(network, tmp_path / "w.npz")
+    again = Detector()
+    load_weights(again, tmp_path / "w.npz")
+    x = torch.zeros(1, 3, 64, 64)
+    torch.testing.assert_close(again.eval()(x)[0], network.eval()(x)[0])
+    with pytest.raises(ValueError, match="another network"):
+        load_weights(Detector(Design(attention=False)), tmp_path / "w.npz")
+    with pytest.raises(ValueError, match="another design"):
+        train(tmp_path / "run", tmp_path / "set", config, Design(attention=False), plan)
+
+
+def test_levels_leave_no_gap():
+    assert list(losses.LEVEL_SIZE) == [4, 16, 32]

@@ -1,0 +1,198 @@
+"""The detector's network: a YOLO-Fastest backbone with what Li & An 2025, section 3.1, add to it.
+
+Backbone of inverted residuals after YOLO-Fastest (dog-qiuqiu 2020), heads at 1/32 and 1/16 of the
+input. Added: a map at 1/4 (104 x 104 at 416 input) for small parts, into which the deeper maps are
+fed back, and attention that weighs the features by their surroundings, to tell similar classes
+apart. Fully convolutional and local throughout: trained on crops, used on whole pictures.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from twin.messages import PART_CLASSES
+
+OUTPUTS = 5 + len(PART_CLASSES)  # box, object, classes
+NECK = 40  # channels of the maps that the heads look at
+WIDTHS = (12, 20, 32, 64, 112)  # channels at 1/2, 1/4, 1/8, 1/16, 1/32
+DEPTHS = (1, 2, 3, 2)  # residual blocks after each step down from 1/4 on
+EMPTY = -4.0  # first bias of "object": next to all cells are empty
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which of the source's improvements are in; each has its line in the ablation."""
+
+    attention: bool = True
+    fine_map: bool = True
+    ciou: bool = True  # of the loss, not of the network
+
+
+class Detector(nn.Module):
+    """Pictures to raw maps.
+
+    Args:
+        design: which improvements are in.
+    """
+
+    def __init__(self, design: Design | None = None):
+        super().__init__()
+        self.design = design or Design()
+        w = WIDTHS
+        self.stem = _conv(3, w[0], 3, 2)
+        self.stages = nn.ModuleList(
+            nn.Sequential(
+                _Block(w[i], w[i + 1], 2 if i == 0 else 3, 2),
+                *[_Block(w[i + 1], w[i + 1], 3, 1) for _ in range(DEPTHS[i])],
+            )
+            for i in range(4)
+        )
+        self.lateral = nn.ModuleList(nn.Conv2d(c, NECK, 1, bias=False) for c in w[1:])
+        self.norm = nn.ModuleList(nn.BatchNorm2d(NECK) for _ in w[1:])
+        self.mix = nn.ModuleList(_separable(NECK, 5 if i == 0 else 3) for i in range(4))
+        self.attention = nn.ModuleList(
+            _Attention(NECK) if self.design.attention else nn.Identity() for _ in range(2)
+        )
+        self.heads = nn.ModuleList(
+            nn.Sequential(_separable(NECK, 3), nn.Conv2d(NECK, OUTPUTS, 1)) for _ in self.strides
+        )
+        for head in self.heads:
+            nn.init.constant_(head[1].bias, 0.0)  # type: ignore[index]
+            nn.init.constant_(head[1].bias[4], EMPTY)  # type: ignore[index]
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Pixels a cell of each map, finest first."""
+        return (4, 16, 32) if self.design.fine_map else (16, 32)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Maps of (tx, ty, tw, th, object, classes), finest first.
+
+        Args:
+            x: RGB from -0.5 to 0.5. Shape (n, 3, h, w), h and w multiples of 32.
+
+        Returns:
+            One tensor a stride. Shape (n, 10, h / stride, w / stride).
+        """
+        features, x = [], self.stem(x)
+        for stage in self.stages:
+            x = stage(x)
+            features.append(x)
+        maps: list[Tensor] = [x] * 4
+        above: Tensor | None = None
+        lowest = 0 if self.design.fine_map else 2
+        for i in range(3, lowest - 1, -1):
+            y = self.norm[i](self.lateral[i](features[i]))
+            if above is not None:
+                y = y + nn.functional.interpolate(above, scale_factor=2.0, mode="nearest")
+            above = self.mix[i](torch.relu(y))
+            if i in (0, 2):
+                above = self.attention[i // 2](above)
+            maps[i] = above
+        used = [maps[0], maps[2], maps[3]] if self.design.fine_map else maps[2:]
+        return [head(y) for head, y in zip(self.heads, used, strict=True)]
+
+
+class Exportable(nn.Module):
+    """The network as the stack runs it: a picture as it comes from the camera, maps with the
+    channels last."""
+
+    def __init__(self, detector: Detector):
+        super().__init__()
+        self.detector = detector
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """`image`: RGB. Shape (1, h, w, 3), uint8. Maps of shape (h / stride, w / stride, 10)."""
+        x = image.permute(0, 3, 1, 2).float() / 255.0 - 0.5
+        return tuple(y[0].permute(1, 2, 0) for y in self.detector(x))
+
+
+def torch_maps(network: Detector) -> Callable[[NDArray[np.uint8]], list[NDArray[np.float32]]]:
+    """The network itself as the stack would run it, for use while it is trained."""
+    model = Exportable(network)
+
+    @torch.no_grad()
+    def run(image: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+        network.eval()
+        return [m.numpy() for m in model(torch.from_numpy(image))]
+
+    return run
+
+
+class _Block(nn.Module):
+    """Inverted residual: widen, look around, narrow."""
+
+    def __init__(self, inside: int, outside: int, expansion: int, stride: int):
+        super().__init__()
+        wide = inside * expansion
+        self.body = nn.Sequential(
+            _conv(inside, wide, 1),
+            _conv(wide, wide, 3, stride, groups=wide),
+            nn.Conv2d(wide, outside, 1, bias=False),
+            nn.BatchNorm2d(outside),
+        )
+        self.adds = stride == 1 and inside == outside
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.body(x)
+        return x + y if self.adds else y
+
+
+class _Attention(nn.Module):
+    """Each feature weighed by what stands around it, within 5 x 5 cells.
+
+    A local gate in place of squeeze-and-excitation: a mean over the whole picture would differ
+    between the crops of the training and the pictures of the belt.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.gate = nn.Sequential(
+            nn.Conv2d(channels, channels, 5, padding=2, groups=channels, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 1),
+            nn.Sigmoid(),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x * self.gate(x) * 2.0
+
+
+def _conv(inside: int, outside: int, size: int, stride: int = 1, groups: int = 1) -> nn.Module:
+    return nn.Sequential(
+        nn.Conv2d(inside, outside, size, stride, size // 2, groups=groups, bias=False),
+        nn.BatchNorm2d(outside),
+        nn.ReLU(),
+    )
+
+
+def _separable(channels: int, size: int) -> nn.Module:
+    return nn.Sequential(
+        _conv(channels, channels, size, groups=channels), _conv(channels, channels, 1)
+    )
+
+
+def parameters(network: nn.Module) -> int:
+    """Number of trained numbers."""
+    return sum(p.numel() for p in network.parameters())
+
+
+def multiplications(network: Detector, height: int, width: int) -> int:
+    """Multiply-accumulates of all convolutions for one picture."""
+    total = 0
+
+    def count(layer, inputs, output):
+        nonlocal total
+        total += output.numel() * layer.weight[0].numel()
+
+    hooks = [m.register_forward_hook(count) for m in network.modules() if isinstance(m, nn.Conv2d)]
+    with torch.no_grad():
+        network.eval()(torch.zeros(1, 3, height, width))
+    for hook in hooks:
+        hook.remove()
+    return total
