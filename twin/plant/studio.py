@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Array, quat_wxyz, rot_x, rot_z
-from twin.layout import Layout, models_dir
+from twin.layout import Layout, Tolerances, models_dir
 from twin.messages import PART_CLASSES
 from twin.plant.assembly import MASKS, attach
 from twin.plant.factory import attach_parts, resize_line
@@ -20,6 +20,7 @@ from twin.plant.hall import hall
 from twin.plant.model_files import load_model
 from twin.plant.sensors.camera import GROUPS, HEIGHT, WIDTH
 from twin.plant.sensors.rendering import HIDDEN_GROUP, PART_PREFIX
+from twin.plant.site_as_built import SiteAsBuilt
 from twin.plant.studio_clutter import add_clutter
 
 Rgb = tuple[float, float, float]
@@ -70,7 +71,7 @@ class Studio:
     """
 
     def __init__(self, layout: Layout, pool: int = 3):
-        spec = hall(layout)
+        spec = hall(layout, SiteAsBuilt(Tolerances(scale=0.0), 0))  # as drawn
         root = models_dir()
         line = load_model(root, "line/line.xml")
         resize_line(line, layout.site.line)
