@@ -15,8 +15,8 @@ from twin import messages
 from twin.stack import config
 
 _TYPES = {
-    name: kind
-    for name, kind in {**vars(config), **vars(messages)}.items()
+    kind.__name__: kind
+    for kind in [*vars(config).values(), *vars(messages).values()]
     if isinstance(kind, type) and dataclasses.is_dataclass(kind)
 }
 # Noise makes pictures hard to pack: the quick method loses nothing against the thorough one.
