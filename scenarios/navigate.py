@@ -12,6 +12,7 @@ from evaluation.localisation import LocalisationMonitor
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.floor_plan import stops
+from twin.geometry import compose2
 from twin.layout import Layout, Mover, Obstacle
 from twin.messages import DriveOrder, Goal
 
@@ -19,18 +20,12 @@ LONGEST = 420.0  # s of simulated time after which the run is given up
 SETTLE = 0.3  # s after the last goal
 
 RACKS = 6  # goals among the racks
-DEAD_END = (13.3, 7.55, 0.0)  # in the aisle behind rack 8, closed in the east
+FEWEST = 10  # goals, besides the dock at the end
 SUDDEN = 3  # things that appear before the vehicle
 SUDDEN_NEAR = (1.8, 2.6)  # m at which they do: it can stop, and must find another way
+STANDING = ("low_box", "carton")  # there from the start, beside the middle of an aisle
+BESIDE = 0.40  # m that things stand off an aisle's middle: in one of 1.5 m they leave 0.9 m
 MOVER_SPEED = (0.3, 0.5)  # m/s
-
-# Mouths of the aisles, x and y of their middle, 1.5 m wide: a thing beside the middle leaves 0.9 m.
-MOUTHS = [(x, y) for y in (1.55, 3.65, 5.75) for x in (8.5, 10.1, 11.9)]
-BESIDE = 0.40  # m that things stand off an aisle's middle
-# In front of the warehouse, 2.4 m wide: a panel across the way leaves room to go round.
-GLASS, BLACK = (6.1, (-0.75, 0.05)), (7.3, (6.6, 6.9))
-# Carts go along one side of the cross aisles, which leaves the vehicle 0.8 m.
-CART_WAYS = (((7.0, 0.3), (7.0, 4.9)), ((14.85, 0.2), (14.85, 5.2)))
 
 CRITERIA = [
     Criterion("goals_reached", ">=", 0.98),
@@ -58,6 +53,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
         complete = sim.run(LONGEST, over)
         metrics = {
             **monitor.metrics(),
+            "sudden_obstacles": float(sum(e.kind == "placed" for e in sim.plant.faults.log)),
             "collisions": float(len(sim.plant.world.collisions)),
             **poses.metrics(),
         }
@@ -69,42 +65,44 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
 
 
 def draw_goals(layout: Layout, rng: np.random.Generator) -> tuple[Goal, ...]:
-    """Racks, line, goods-in, receiving and the dead end in any order; the dock comes last."""
+    """Racks, stations and named places in any order; the dock comes last."""
     places = stops(layout.site)
     racks = sorted(name for name in places if name.startswith("rack "))
-    names = list(rng.choice(racks, min(RACKS, len(racks)), replace=False))
+    names = list(rng.choice(racks, min(RACKS, len(racks)), replace=False)) if racks else []
     names += [n for n in ("pick_approach", "receiving", "goods_in") if n in places]
-    named = {name: places[name] for name in names} | {"dead end": DEAD_END}
-    order = rng.permutation(sorted(named))
-    return (*(Goal(str(n), named[str(n)]) for n in order), Goal("dock", places["dock"]))
+    names += [place.name for place in layout.site.places]
+    order = list(rng.permutation(sorted(names)))
+    while len(order) < FEWEST:  # of a small plant: round again, never twice the same in a row
+        order += order[: FEWEST - len(order)]
+    return (*(Goal(str(n), places[n]) for n in order), Goal("dock", places["dock"]))
 
 
 def with_faults(layout: Layout, rng: np.random.Generator) -> Layout:
     """The layout with what stands and comes in the way; what it has already stays."""
-    mouths = [MOUTHS[i] for i in rng.permutation(len(MOUTHS))[: SUDDEN + 2]]
+    hazards = layout.world.hazards
+    kinds = [("", True)] * SUDDEN + [(kind, False) for kind in STANDING]
+    mouths = [hazards.mouths[i] for i in rng.permutation(len(hazards.mouths))[: len(kinds)]]
     obstacles = []
-    for i, (x, y) in enumerate(mouths):
+    for (kind, sudden), mouth in zip(kinds, mouths, strict=False):
         side = float(rng.choice((-1.0, 1.0)))
-        pose = (x, y + side * BESIDE, float(rng.uniform(-0.3, 0.3)))
-        if i < SUDDEN:
+        pose = compose2(mouth, (0.0, side * BESIDE, float(rng.uniform(-0.3, 0.3))))
+        near = 0.0
+        if sudden:
             kind = str(rng.choice(("carton", "pillar", "low_box")))
             near = float(rng.uniform(*SUDDEN_NEAR))
-        else:
-            kind, near = ("low_box", "carton")[i - SUDDEN], 0.0
-        obstacles.append(Obstacle(kind=kind, pose=pose, near=near))
-    x, span = GLASS
-    y = float(rng.uniform(*span))
-    obstacles.append(Obstacle(kind="glass_panel", pose=(x, y, np.pi / 2)))
-    x, span = BLACK
-    obstacles.append(Obstacle(kind="black_panel", pose=(x, float(rng.uniform(*span)), 0.2)))
+        obstacles.append({"kind": kind, "pose": pose.tolist(), "near": near})
+    for panel in hazards.panels:
+        a, b = np.array(panel.line[:2]), np.array(panel.line[2:])
+        x, y = a + rng.uniform() * (b - a)
+        obstacles.append({"kind": panel.kind, "pose": (x, y, panel.yaw)})
     movers = [
         Mover(path=way, speed=float(rng.uniform(*MOVER_SPEED)), starts=float(rng.uniform(0, 10)))
-        for way in CART_WAYS
+        for way in hazards.carts
     ]
     faults = layout.world.faults
     faults = faults.model_copy(
         update={
-            "obstacles": (*faults.obstacles, *obstacles),
+            "obstacles": (*faults.obstacles, *(Obstacle.model_validate(o) for o in obstacles)),
             "movers": (*faults.movers, *movers),
         }
     )

@@ -114,9 +114,9 @@ class NavBench:
         self._touching = set()
         self.rows, self.events, self.collisions = [], [], []
         self._pending, self._tick = [], 0
-        self._convert = self.navigator.layer._convert
+        self._convert = self.navigator.surroundings.layer._convert
         self._convert.convert = lambda frame: frame.depth_mm  # the bench sends scans instead
-        self.navigator.layer._solid.find = lambda frame: self._tops
+        self.navigator.surroundings.layer._solid.find = lambda frame: self._tops
         self._tops = np.zeros((0, 2))
 
     def tick(self):

@@ -143,6 +143,15 @@ def test_a_way_that_becomes_blocked_is_noticed():
     assert astar.blocked(costmap, path.xy) and not astar.blocked(costmap, path.xy[:20])
 
 
+def test_a_way_out_of_a_tight_start_is_not_blocked():
+    states = np.zeros((60, 80), dtype=np.int8)
+    states[:, 0] = 100
+    costmap = inflate(states, 0.05, (0, 0), Footprint())
+    path = astar.plan(costmap, (0.15, 2.0), (3.0, 2.0))
+    assert not astar.blocked(costmap, path.xy)
+    assert astar.blocked(costmap, path.xy[::-1])  # but not a way in
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.0, 6.0), st.sampled_from([1.0, astar.DIAGONAL]))
 def test_cost_is_the_least_however_far_apart_the_weights_lie(seed, decades, diagonal):

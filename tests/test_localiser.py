@@ -293,3 +293,16 @@ def test_fewer_particles_are_as_exact_as_many():
         rig.run(0.5)
         errors.append(np.sqrt(np.mean(rig.run(4.0, speed=0.7)[100:] ** 2)))
     assert errors[0] < errors[1] + 0.002
+
+
+def test_particles_that_stray_to_a_place_that_looks_alike_are_called_back():
+    start = np.array([8.6, 1.55, 0.0])
+    alone = AmclSettings(most_recovery=0.0)  # the filter does not find back by itself
+    rig = Rig(start, localiser=Localiser(CONFIG, start, alone))
+    rig.run(2.0, speed=0.5)
+    amcl = rig.localiser.amcl
+    alike = compose2(rig.truth, (0.0, 2.1, 0.0))  # the next aisle
+    amcl.initialise(alike, 0.001 * np.eye(3), rig.localiser.fused.pose(rig.now))
+    off = rig.run(2.0, speed=0.5)
+    assert not rig.localiser.lost and off.max() < 0.03
+    assert np.hypot(*(amcl.pose - rig.truth)[:2]) < 0.1

@@ -215,3 +215,22 @@ def test_clusters_are_cut_at_gaps_and_lone_points_left_out():
     points = np.array([[0, 0], [0, 0.1], [0, 0.2], [0, 0.3], [0, 1], [2, 2], [2, 2.1], [2, 2.2]])
     parts = clusters(points.astype(float), 0.25, 3)
     assert [len(p) for p in parts] == [4, 3]
+
+
+def test_what_leaves_the_view_is_expected_to_go_on_as_it_went():
+    """Expected result: the part that is still seen does not turn the track aside."""
+    moving, low = MovingObjects(), np.radians(-45.0)
+    for k in range(60):  # a cart goes past an eye at the origin, out of its view
+        centre = np.array([1.2, 1.2 - 0.5 * 0.1 * k])
+        y = centre[1] + np.linspace(-0.25, 0.25, 41)
+        face = np.column_stack([np.full(41, centre[0] - 0.2), y])
+        bearing = np.arctan2(face[:, 1], face[:, 0])
+        face, bearing = face[bearing > low], bearing[bearing > low]
+        moving.update(
+            0.1 * k, face, np.zeros(2), lambda p: np.arctan2(p[1], p[0]) > low, bearing < low + 0.03
+        )
+        assert len(moving.objects) == 1
+        if k > 10:
+            track = moving.objects[0]
+            assert track.moves and track.mean[1] == pytest.approx(centre[1], abs=0.2)
+            assert track.mean[3] == pytest.approx(-0.5, abs=0.1)

@@ -110,7 +110,8 @@ def stops(site: Any) -> dict[str, tuple[float, float, float]]:
     }
     if site.goods_in is not None:
         named["goods_in"] = site.goods_in
-    return named | {f"rack {r.number}": rack_stop(r.pose) for r in site.racks}
+    named |= {f"rack {r.number}": rack_stop(r.pose) for r in site.racks}
+    return named | {place.name: place.pose for place in site.places}
 
 
 def rack_stop(pose) -> tuple[float, float, float]:
@@ -126,6 +127,11 @@ def _check_names(site: Any) -> None:
     """Names are given once, and lead somewhere."""
     numbers = [rack.number for rack in site.racks]
     names = [tag.name for tag in site.tags]
+    places = [place.name for place in site.places]
+    stations = [n for n in stops(site) if n not in places]
+    for place in places:
+        if place in stations or len(stops(site)) < len(stations) + len(places):
+            raise ValueError(f"place '{place}': there is another stop of that name")
     for what, given in (("rack", numbers), ("tag", names)):
         twice = {n for n in given if given.count(n) > 1}
         if twice:

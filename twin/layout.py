@@ -12,7 +12,17 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, ValidationError, model_validator
 
 from twin.messages import PART_CLASSES, PartClass
-from twin.site import Interval, Name, Pose2, Position2, Site, Strict
+from twin.site import (
+    Angle,
+    Interval,
+    Name,
+    Pose2,
+    Position2,
+    Position3,
+    Segment,
+    Site,
+    Strict,
+)
 
 TRAY_SLOTS, ONE_ARM_SLOTS = 28, 26  # parts that the tray takes, and that one arm alone can place
 
@@ -48,6 +58,18 @@ class Tolerances(Strict):
 class Sensors(Strict):
     latency_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
     noise_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0
+    cameras: bool = True
+
+
+class BeaconHardware(Strict):
+    """Head on the vehicle and truss on the wall, and how steady their clocks and spin are."""
+
+    fitted: bool = False
+    crossing_noise: Annotated[float, Field(ge=0.0, le=1e-4)] = 0.387e-6  # s, 1 sigma of a stamp
+    sync_noise: Annotated[float, Field(ge=0.0, le=1e-4)] = 0.05e-6  # s, likewise; guess
+    spin_jitter: Annotated[float, Field(ge=0.0, le=1e-2)] = 1e-5  # of the speed, by turn; guess
+    clock_drift: Annotated[float, Field(ge=0.0, le=2e-4)] = 50e-6  # relative, 1 sigma of a quartz
+    missed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.001  # share of light pulses unseen; guess
 
 
 class Obstacle(Strict):
@@ -109,6 +131,24 @@ class Parcel(Strict):
     yaw_deg: Annotated[float, Field(ge=0.0, le=15.0)] = 5.0  # +-
 
 
+class Reflection(Strict):
+    """A node also sees the head's planes by way of something that mirrors them."""
+
+    node: Name
+    shift: Position3  # of the node's image from the node, m
+    hides: bool = False  # the direct light is blocked, the mirrored alone arrives
+    share: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0  # of the turns in which it shows
+
+
+class BeaconFaults(Strict):
+    """What goes wrong in the photoelectric network."""
+
+    blocked: tuple[Name, ...] = ()  # nodes to which no light of the head comes
+    reflections: tuple[Reflection, ...] = ()
+    # s after which the lot makes another node blocked and another one reflect; 0: never
+    shuffle: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
+
+
 class Faults(Strict):
     """What goes wrong, and where: only the plant knows."""
 
@@ -117,6 +157,26 @@ class Faults(Strict):
     wet: tuple[WetPatch, ...] = ()
     tags: tuple[TagFault, ...] = ()
     kidnaps: tuple[Kidnap, ...] = ()
+    beacons: BeaconFaults = BeaconFaults()
+
+
+class Panel(Strict):
+    """A panel that is put somewhere on a line."""
+
+    kind: Literal["black_panel", "glass_panel"]
+    line: Segment  # of its middle
+    yaw: Angle
+
+
+class Hazards(Strict):
+    """Where scenarios may put what comes in the way; what and when is drawn by the run's seed.
+
+    Whatever stands there must leave the vehicle a way: nothing checks that.
+    """
+
+    mouths: tuple[Pose2, ...] = ()  # middles of aisles, yaw along them: things stand beside
+    panels: tuple[Panel, ...] = ()
+    carts: tuple[Annotated[tuple[Position2, ...], Field(min_length=2, max_length=50)], ...] = ()
 
 
 class World(Strict):
@@ -126,7 +186,9 @@ class World(Strict):
     feeder: Feeder
     tolerances: Tolerances = Tolerances()
     sensors: Sensors = Sensors()
+    beacons: BeaconHardware = BeaconHardware()
     faults: Faults = Faults()
+    hazards: Hazards = Hazards()
     parcel: Parcel = Parcel()
     order: dict[PartClass, Annotated[int, Field(ge=0, le=20)]]
 
@@ -149,6 +211,9 @@ class Options(Strict):
     calibration: str | None = None  # its calibration.json: where the depth camera really hangs
     motion_model: Literal["omni", "turn_path_turn"] = "omni"  # of AMCL's particles
     aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
+    # How the photoelectric network corrects the pose: by all nodes, or by Liu et al.'s method.
+    beacons: Literal["off", "all", "source"] = "off"
+    beacon_calibration: str | None = None  # file of a `beacon_calibrate` run; else the drawing
 
 
 class Layout(Strict):
@@ -172,6 +237,22 @@ class Layout(Strict):
             if fault.tag in seen:
                 raise ValueError(f"world.faults.tags: two faults of tag '{fault.tag}'")
             seen.add(fault.tag)
+        return self
+
+    @model_validator(mode="after")
+    def _the_network_is_drawn(self):
+        network, world = self.site.beacons, self.world
+        if network is None:
+            if world.beacons.fitted or self.options.beacons != "off":
+                raise ValueError("site.beacons: there is no photoelectric network in the drawing")
+            return self
+        if self.options.beacons != "off" and not world.beacons.fitted:
+            raise ValueError("options.beacons: wants world.beacons.fitted = true")
+        known = [node.name for node in network.nodes]
+        faults = world.faults.beacons
+        for name in (*faults.blocked, *(r.node for r in faults.reflections)):
+            if name not in known:
+                raise ValueError(f"world.faults.beacons: no node '{name}'; there are {known}")
         return self
 
     @model_validator(mode="after")

@@ -91,6 +91,21 @@ class FloorFrame:
 
 
 @dataclass(frozen=True)
+class BeaconStamps:
+    """Raw counts of the photoelectric network over a turn of the head, by each node's own clock.
+
+    `stamp` is when plane 1 passed the reference sensor T0 and so ended the turn. Channel 0 is T0,
+    channel i + 1 is nodes[i]. Kinds: 0 synchronising light, 1 and 2 the head's planes.
+    """
+
+    stamp: float
+    nodes: tuple[str, ...]
+    channel: NDArray[np.int64]  # (n,)
+    kind: NDArray[np.int64]  # (n,)
+    ticks: NDArray[np.int64]  # (n,) each channel in the order of events; the counter wraps
+
+
+@dataclass(frozen=True)
 class ArmReading:
     """Joint encoders of one arm."""
 
@@ -151,13 +166,30 @@ class MapOrder:
 
 
 @dataclass(frozen=True)
+class ParkOrder:
+    """Drive straight from pose to pose; stand still at each, to a millimetre."""
+
+    stamp: float
+    poses: tuple[tuple[float, float, float], ...]  # x, y, yaw in world
+
+
+@dataclass(frozen=True)
+class BeaconOrder:
+    """Calibrate the photoelectric network's head: straight from stop to stop, measuring at each."""
+
+    stamp: float
+    stops: tuple[tuple[float, float, float], ...]  # x, y, yaw in world
+    dwell: float  # s at each stop
+
+
+@dataclass(frozen=True)
 class TransportOrder:
     """Fetch what lies at goods-in and bring it to the rack that its code names."""
 
     stamp: float
 
 
-AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder
+AnyOrder = Order | DriveOrder | CourseOrder | MapOrder | TransportOrder | ParkOrder | BeaconOrder
 
 Reading = (
     WheelState
@@ -166,6 +198,7 @@ Reading = (
     | RgbdFrame
     | CameraFrame
     | FloorFrame
+    | BeaconStamps
     | ArmReading
     | GripperReading
     | AnyOrder
@@ -257,6 +290,18 @@ class TagSight:
 
 
 @dataclass(frozen=True)
+class BeaconSight:
+    """A turn of the photoelectric network's head, and what came of it."""
+
+    stamp: float  # middle of the turn, s
+    reason: str  # fused, refused by the estimate, or why there is no pose
+    pose: Float | None = None  # (7,) x, y, z, qw, qx, qy, qz of the vehicle in world
+    covariance: Float | None = None  # (6, 6) shift in world axes, turn in base axes
+    rejected: tuple[tuple[str, int], ...] = ()  # (node, plane) that contradicted the others
+    rays: tuple[str, ...] = ()  # nodes in the fix
+
+
+@dataclass(frozen=True)
 class NavigationState:
     """What the navigator is about."""
 
@@ -286,5 +331,7 @@ class StackState:
     particles: int = 0
     lost: bool = False  # the scan does not fit where the vehicle is believed to be
     sights: tuple[TagSight, ...] = ()  # new in this tick
+    beacons: tuple[BeaconSight, ...] = ()  # new in this tick
+    pose6: Float | None = None  # (7,) x, y, z, qw, qx, qy, qz in world, where a network tells it
     navigation: NavigationState = NavigationState()
     goals: dict[str, float] = field(default_factory=dict)  # scalars worth plotting

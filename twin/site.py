@@ -4,6 +4,7 @@ Poses are x, y, yaw in world (x east, y north), metres and radians. Sizes of mac
 `twin.floor_plan`.
 """
 
+import math
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -13,6 +14,7 @@ from twin.floor_plan import check_floor_plan
 Coordinate = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # m
 Angle = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]  # rad
 Position2 = tuple[Coordinate, Coordinate]
+Position3 = tuple[Coordinate, Coordinate, Coordinate]
 Pose2 = tuple[Coordinate, Coordinate, Angle]  # x, y, yaw
 Segment = tuple[Coordinate, Coordinate, Coordinate, Coordinate]  # x0, y0, x1, y1
 Interval = tuple[Coordinate, Coordinate]
@@ -56,6 +58,45 @@ class Tag(Strict):
     next: tuple[Name, ...] = ()
 
 
+class Place(Strict):
+    """A pose that the vehicle may be sent to by name."""
+
+    name: Annotated[str, Field(pattern="^[a-z][a-z0-9_ ]{0,30}$")]
+    pose: Pose2
+
+
+class BeaconNode(Strict):
+    """A photodiode of the photoelectric network: where it was measured, and where it looks."""
+
+    name: Name
+    position: Position3
+    facing: Angle  # yaw of its axis, which is level
+
+
+class BeaconNetwork(Strict):
+    """The photoelectric network (Liu et al. 2022): nodes on a truss, as a laser tracker saw them.
+
+    The tracker's error along each axis is 18 um + 3 um/m of the distance from it (FARO, by Liu et
+    al. 2022, section 3.1); taken as one standard deviation.
+    """
+
+    nodes: Annotated[tuple[BeaconNode, ...], Field(min_length=4, max_length=32)]
+    tracker: Position3
+    spin_rate: Annotated[float, Field(ge=20.0, le=50.0)] = 30.0  # turns of the head a second
+
+    def survey_sigma(self, node: BeaconNode) -> float:
+        """Standard deviation of a node's surveyed position along each axis, m."""
+        return 18e-6 + 3e-6 * math.dist(node.position, self.tracker)
+
+    @model_validator(mode="after")
+    def _names_are_given_once(self):
+        names = [node.name for node in self.nodes]
+        twice = {n for n in names if names.count(n) > 1}
+        if twice:
+            raise ValueError(f"node {min(twice)}: stands there twice")
+        return self
+
+
 class Site(Strict):
     """The surveyed drawing, known to plant and stack."""
 
@@ -69,6 +110,8 @@ class Site(Strict):
     hall: Hall
     racks: tuple[Rack, ...] = ()
     tags: tuple[Tag, ...] = ()
+    places: tuple[Place, ...] = ()  # besides stations and racks
+    beacons: BeaconNetwork | None = None
 
     @model_validator(mode="after")
     def _can_be_built(self):

@@ -21,7 +21,7 @@ from twin.stack.planning import astar
 from twin.stack.planning.clearance import Footprint, points
 from twin.stack.planning.costmap import INSCRIBED, Costmap, inflate
 from twin.stack.planning.teb import Teb
-from twin.stack.planning.teb_trajectory import least_room
+from twin.stack.planning.teb_check import least_room
 
 SIZE = 512
 

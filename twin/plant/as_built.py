@@ -22,7 +22,8 @@ CAMERA_FOCAL = 0.0005
 CAMERA_CENTRE = 0.25 / 640  # of the picture's width, 1 sigma along u and v
 CAMERA_WIDTH, RGBD_WIDTH, TAG_CAMERA_WIDTH = 640, 424, 320  # px
 TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE = 0.0005, 0.001  # m, rad: after extrinsic calibration
-MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar and depth camera bolted on
+MOUNT_POSITION, MOUNT_ANGLE = 0.002, 0.003  # m, rad: lidar, depth camera, scanning head bolted on
+BEACON_PLANES = 0.003  # rad, 1 sigma: line lasers glued into their seats; guess
 ARM_JOINT_ZERO = 0.0003  # rad: after arm calibration
 
 
@@ -44,6 +45,8 @@ class AsBuilt:
     rgbd_centre: Array  # (2,) px, u and v of the principal point off the picture's middle
     tag_camera_focal: float  # factor
     tag_camera_centre: Array  # (2,) px
+    beacon_mount: Array  # (4, 4)
+    beacon_planes: Array  # (3,) rad, added to phi_1, phi_2, phi_r of the scanning head
     camera_centre: Array  # (2,) px
 
     @classmethod
@@ -75,5 +78,7 @@ class AsBuilt:
             rgbd_centre=rng.normal(0, k * CAMERA_CENTRE * RGBD_WIDTH, 2),
             tag_camera_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
             tag_camera_centre=rng.normal(0, k * CAMERA_CENTRE * TAG_CAMERA_WIDTH, 2),
+            beacon_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
+            beacon_planes=rng.normal(0, k * BEACON_PLANES, 3),
             camera_centre=rng.normal(0, k * CAMERA_CENTRE * CAMERA_WIDTH, 2),
         )

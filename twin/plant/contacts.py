@@ -106,6 +106,10 @@ def _kind_of(model: mujoco.MjModel, geom: int) -> str:
     if body.startswith("part_"):
         return "part"
     prefix = body.partition("/")[0]
+    if prefix == "head":
+        return "agv"
+    if name.startswith("beacons/"):
+        return "station"
     if prefix == "agv":
         if "/tray_" in name:
             return "tray"

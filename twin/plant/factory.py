@@ -10,6 +10,7 @@ from twin.layout import Layout, models_dir
 from twin.messages import PART_CLASSES, PartClass
 from twin.plant.as_built import AsBuilt
 from twin.plant.assembly import MASKS, attach, set_masks
+from twin.plant.beacons import add_network
 from twin.plant.fault_plan import check_faults
 from twin.plant.floor_tags import add_floor_tags
 from twin.plant.hall import hall
@@ -63,6 +64,8 @@ def build(
         attach(spec, station, pose, f"{name}/", MASKS["standing"])
     add_warehouse(spec, layout, as_built.floor_seed, built, root)
     _attach_vehicle(spec, root, dock, as_built)
+    if layout.world.beacons.fitted:
+        add_network(spec, layout, as_built, root)
     add_obstacles(spec, layout.world.faults.obstacles, root)
     add_movers(spec, layout.world.faults.movers, root)
     store = pool_counts(layout) if pool is None else dict.fromkeys(PART_CLASSES, pool)

@@ -12,6 +12,7 @@ from twin.plant.actuators.wheel_drive import WheelDrive
 from twin.plant.as_built import AsBuilt
 from twin.plant.faults import FaultDriver
 from twin.plant.feeder import Feeder
+from twin.plant.sensors.beacons import fitted_network
 from twin.plant.sensors.camera import MastCamera
 from twin.plant.sensors.encoders import WheelEncoders
 from twin.plant.sensors.floor_camera import FloorCamera
@@ -54,7 +55,7 @@ class Plant:
     """
 
     def __init__(self, layout: Layout, seed: int, order: AnyOrder | None = None):
-        built, wheels, feed, *noise = np.random.default_rng(seed).spawn(9)
+        built, wheels, feed, *noise = np.random.default_rng(seed).spawn(11)
         self.layout, self.as_built = layout, AsBuilt.draw(built, layout.world.tolerances)
         if order is None:
             order = Order(0.0, tuple((c, n) for c, n in layout.world.order.items() if n))
@@ -73,15 +74,19 @@ class Plant:
         self.renderer = RenderWorker(model)
         k = layout.world.sensors.noise_scale
         self._mast_camera = MastCamera(self.renderer, noise[3], k)
+        cameras = (
+            self._mast_camera,
+            RgbdCamera(self.renderer, noise[4], k, self.as_built.rgbd_focal),
+            FloorCamera(self.renderer, model, noise[5], k),
+        )
         self.sensors = (
             OrderDesk(order),
             ImuSensor(model, noise[0], k),
             *(ArmSensor(i, drive) for i, drive in enumerate(self._arms)),
             *(GripperSensor(i, g, noise[1], k) for i, g in enumerate(self._grippers)),
             LidarSensor(model, noise[2], self.as_built.lidar_mount, k),
-            self._mast_camera,
-            RgbdCamera(self.renderer, noise[4], k, self.as_built.rgbd_focal),
-            FloorCamera(self.renderer, model, noise[5], k),
+            *(cameras if layout.world.sensors.cameras else ()),
+            *fitted_network(model, layout, self.as_built, noise[6], noise[7]),
         )
         self._suite = SensorSuite(self.sensors, layout.world.sensors.latency_scale)
         self._begun = False

@@ -1,22 +1,23 @@
 """Messages and beliefs as bytes and back, exactly: what is read equals what was written.
 
-A record is a JSON text and a payload. The text holds dataclasses by name and plain values; arrays
-stand in the payload, pictures as PNG (lossless), all others raw.
+A record is a JSON text and a payload. The text holds dataclasses by name (those of beliefs with
+their module in the stack) and plain values; arrays stand in the payload, pictures as PNG
+(lossless), all others raw.
 """
 
 import dataclasses
 import json
+from importlib import import_module
 from typing import Any
 
 import cv2
 import numpy as np
 
 from twin import messages
-from twin.stack import config
 
 _TYPES = {
     name: kind
-    for name, kind in {**vars(config), **vars(messages)}.items()
+    for name, kind in vars(messages).items()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind)
 }
 # Noise makes pictures hard to pack: the quick method loses nothing against the thorough one.
@@ -49,7 +50,7 @@ def _pack(value: Any, blobs: list[bytes]) -> Any:
         return {"array": [value.dtype.str, value.shape, picture, start, len(blob)]}
     if dataclasses.is_dataclass(value):
         fields = {f.name: _pack(getattr(value, f.name), blobs) for f in dataclasses.fields(value)}
-        return {"type": type(value).__name__, **fields}
+        return {"type": _name(type(value)), **fields}
     if isinstance(value, tuple | list):
         return [_pack(item, blobs) for item in value]
     if isinstance(value, dict):
@@ -70,8 +71,22 @@ def _unpack(tree: Any, payload: memoryview) -> Any:
         return blob.view(dtype).reshape(shape).copy()
     if "dict" in tree:
         return {key: _unpack(item, payload) for key, item in tree["dict"].items()}
-    kind = _TYPES[tree["type"]]
+    kind = _kind(tree["type"])
     return kind(**{name: _unpack(v, payload) for name, v in tree.items() if name != "type"})
+
+
+def _name(kind: type) -> str:
+    known = _TYPES.get(kind.__name__) is kind
+    return kind.__name__ if known else f"{kind.__module__}:{kind.__name__}"
+
+
+def _kind(name: str) -> type:
+    module, _, last = name.rpartition(":")
+    if not module:
+        return _TYPES[last]
+    if not module.startswith("twin.stack."):
+        raise ValueError(f"log: a message of type {name}, which is none of the stack's")
+    return getattr(import_module(module), last)
 
 
 def _is_picture(array: np.ndarray) -> bool:

@@ -13,6 +13,8 @@ from twin.geometry import Array, look_at, rot_z, transform
 from twin.layout import Options, models_dir
 from twin.messages import PartClass
 from twin.site import Site
+from twin.stack.estimation.beacons.stamps import Counter, HeadParameters, SyncSequence
+from twin.stack.estimation.beacons.stamps import Noise as StampNoise
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,22 @@ class ParcelDrawing:
 
 
 @dataclass(frozen=True)
+class BeaconHead:
+    """Scanning head of the photoelectric network: models/beacon/README.md.
+
+    A `beacon_calibrate` run replaces planes and mount by what it measured.
+    """
+
+    planes: HeadParameters = field(default_factory=HeadParameters)
+    T_base_head: Array = field(  # T0 stands behind the head: there is its x axis
+        default_factory=lambda: transform(rot_z(np.pi), (0.318, -0.218, 0.92))
+    )
+    sequence: SyncSequence = field(default_factory=SyncSequence)
+    counter: Counter = field(default_factory=Counter)
+    noise: StampNoise = field(default_factory=lambda: StampNoise(crossing=0.387e-6))
+
+
+@dataclass(frozen=True)
 class StackConfig:
     """Everything the stack believes before its first reading."""
 
@@ -196,6 +214,7 @@ class StackConfig:
     tag_side: float = 0.100  # outer edge of a floor tag's code, quiet zone left out, m
     parts: dict[PartClass, PartDrawing] = field(default_factory=dict)
     parcel: ParcelDrawing = ParcelDrawing()
+    beacons: BeaconHead = field(default_factory=BeaconHead)
     stand_height: float = 0.70  # of the goods-in stand's face and of a rack's upper deck, m
     # Where a parcel lies at goods-in, and where it is set down on a rack: in base when the vehicle
     # stands there. In the middle of the front arm's reach to the left.

@@ -13,6 +13,8 @@ from twin.geometry import Array, compose2
 from twin.messages import (
     AnyOrder,
     ArmReading,
+    BeaconOrder,
+    BeaconStamps,
     BodyVelocity,
     CameraFrame,
     Commands,
@@ -25,6 +27,7 @@ from twin.messages import (
     LidarScan,
     MapOrder,
     Order,
+    ParkOrder,
     Reading,
     RgbdFrame,
     StackState,
@@ -34,6 +37,7 @@ from twin.messages import (
 from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
 from twin.stack.detection.tracker import Tracker
+from twin.stack.estimation.beacon_calibration import BeaconCalibrationRun
 from twin.stack.estimation.distance import DistanceToPick
 from twin.stack.estimation.localiser import Localiser
 from twin.stack.estimation.mapper import Mapper
@@ -43,10 +47,12 @@ from twin.stack.planning.drive import Drive
 from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.aisle import AisleKeeper
 from twin.stack.tasks.arm_worker import ArmWorker
+from twin.stack.tasks.beacon_mission import beacon_mission
 from twin.stack.tasks.course_mission import course_mission
 from twin.stack.tasks.drive_mission import drive_mission
 from twin.stack.tasks.map_mission import map_mission
 from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
+from twin.stack.tasks.parking import Parker, park_mission
 from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
 from twin.stack.tasks.search import Search
@@ -58,6 +64,8 @@ MISSIONS = {
     MapOrder: map_mission,
     TransportOrder: transport_mission,
     CourseOrder: course_mission,
+    ParkOrder: park_mission,
+    BeaconOrder: beacon_mission,
 }
 
 
@@ -88,6 +96,8 @@ class Stack:
         self.navigator = Navigator(config, drivable(config))
         self.drive = Drive(config.drive)  # straight legs, without looking
         self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
+        self.parker = Parker(config.drive)  # straight legs to a millimetre
+        self.head: BeaconCalibrationRun | None = None  # while the network is calibrated
         self.search = Search(config)
         self.detector = ContourDetector(config)
         self.tracker = Tracker(config)
@@ -144,6 +154,9 @@ class Stack:
                 self.on_picture(reading)
         elif isinstance(reading, LidarScan | RgbdFrame):
             self._look(reading)
+        elif isinstance(reading, BeaconStamps):
+            if self.head is not None:
+                self.head.hear(reading)
         elif isinstance(reading, AnyOrder) and self.order is None:
             self.order = reading
             self._tree = sequence(
@@ -185,6 +198,8 @@ class Stack:
             return command
         if self.navigator.active:
             return self.navigator.step(stamp, self.pose, velocity)
+        if self.parker.active:
+            return self.parker.step(stamp, self.pose)
         command = self.drive.step(stamp, self.pose, velocity)
         if self.aisle is None or self.drive.done:
             return command
@@ -267,6 +282,8 @@ class Stack:
             particles=localiser.particles,
             lost=localiser.lost,
             sights=tuple(localiser.sights),
+            beacons=tuple(localiser.beacons),
+            pose6=localiser.pose6(self.now),
             navigation=self.navigator.state,
             goals={
                 "wanted": float(sum(self.picker.remaining().values())),

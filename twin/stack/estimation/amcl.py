@@ -189,6 +189,11 @@ class Amcl:
             pose = compose2(pose, between2(odometry, self._odometry))
         return float(np.exp(self.likelihood.log_likelihood(pose[None], *self._scan)[0]))
 
+    def explained(self, pose: Array, odometry: Array) -> float:
+        """Share of the last scan's beams that the map explains from a pose; arguments of `fit`."""
+        fit = self.fit(pose, odometry)
+        return 0.0 if fit is None else float(self._explained(np.log([fit]))[0])
+
     @property
     def pose_odometry(self) -> Array | None:
         """What the odometry said at the last scan weighed, to which `pose` belongs. Shape (3,)."""

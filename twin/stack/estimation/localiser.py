@@ -9,11 +9,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from twin.geometry import Array, between2
-from twin.messages import FloorFrame, LidarScan, TagSight
+from twin.geometry import Array, between2, pose2_to_transform
+from twin.messages import BeaconSight, BeaconStamps, FloorFrame, LidarScan, TagSight
 from twin.stack.config import StackConfig
 from twin.stack.detection.qr import TagDrawing, TagFix, TagReader
 from twin.stack.estimation.amcl import AmclSettings
+from twin.stack.estimation.beacon_fusion import BeaconFusion, pose7
 from twin.stack.estimation.fusion import FusedOdometry
 from twin.stack.estimation.map_correction import MapCorrection, growth
 from twin.stack.estimation.qr_fusion import QrFusion, TagPolicy
@@ -25,6 +26,7 @@ SHARED = 10.0
 # What all scans share: lidar's mount (2 mm, 3 mrad) and range offset (10 mm, in part cancelled).
 SYSTEMATIC = np.diag([0.005, 0.005, 0.003]) ** 2
 ELSEWHERE, ELSEWHERE_YAW = 0.5, 0.26  # m, rad from the believed pose: that is another place
+BETTER = 0.10  # of a scan's beams that the map must explain more of there to be believed
 POOR = 0.5  # of what the map usually explains: less is no place at all, whatever stands around
 LOST_AFTER = 0.5  # s of doubt
 PATIENCE = 5  # updates in a row outside the gate, after which the map is believed
@@ -68,6 +70,10 @@ class Localiser:
         if config.options.tags and config.site.tags:
             self._tags = QrFusion({tag.name: tag.pose for tag in config.site.tags}, policy)
             self._reader = TagReader(config.tag_camera, TagDrawing(side=config.tag_side))
+        network = config.options.beacons != "off"
+        self._network = BeaconFusion(config) if network else None
+        self._heard = ""  # what came of the network's last turn
+        self.beacons: list[BeaconSight] = []
         self.sights: list[TagSight] = []
         self.events: list[str] = []
         self.dropped = 0
@@ -89,6 +95,14 @@ class Localiser:
         """x, y, yaw in world at a past exposure; None where the history does not reach."""
         reckoned = self.fused.history.at(stamp)
         return None if reckoned is None else self._correction.at(reckoned)
+
+    def pose6(self, now: float) -> Array | None:
+        """x, y, z, qw, qx, qy, qz in world; None without a photoelectric network. Shape (7,)."""
+        if self._network is None:
+            return None
+        if self._network.filter is None or not self._network.alive(now):
+            return pose7(pose2_to_transform(self.pose(now)))
+        return pose7(self._network.filter.at(self.fused.pose(now)))
 
     @property
     def world_from_odom(self) -> Array:
@@ -132,7 +146,7 @@ class Localiser:
         with an event that says why.
         """
         readings = list(readings)
-        self.sights, self.events = [], []
+        self.sights, self.events, self.beacons = [], [], []
         self.fused.step(readings)
         for reading in readings:
             if isinstance(reading, LidarScan):
@@ -140,6 +154,8 @@ class Localiser:
             elif isinstance(reading, FloorFrame) and self._tags is not None:
                 for fix in self._reader.read(reading):
                     self._tag(fix)
+            elif isinstance(reading, BeaconStamps) and self._network is not None:
+                self._beacon(reading, self._network)
 
     def _drop(self, why: str) -> None:
         self.dropped += 1
@@ -173,22 +189,31 @@ class Localiser:
             return
         if news:
             self._carry(reckoned)
-        off = between2(self._correction.at(reckoned), amcl.pose_at(reckoned))
-        if not self._doubt(scan.stamp, off) and news and not amcl.lost:
+        if self._told(scan.stamp):
+            return
+        if not self._doubt(scan.stamp, reckoned) and news and not amcl.lost:
             self._correct()
 
-    def _doubt(self, stamp: float, off: Array) -> bool:
+    def _doubt(self, stamp: float, reckoned: Array) -> bool:
         """Whether the vehicle may not be where it is believed to be; after a while it is lost.
 
-        Something that stands before the lidar hides part of the map, and what is left still fits
-        best here. A vehicle that was carried off fits better elsewhere, or nowhere.
+        Something that stands before the lidar hides part of the map, and what is left may seem to
+        fit elsewhere too; particles that stray there are called back. A vehicle that was carried
+        off fits clearly better elsewhere, or nowhere.
 
         Args:
             stamp: of the scan, s.
-            off: of AMCL's pose from the believed one. Shape (3,).
+            reckoned: pose of the dead reckoning at its exposure. Shape (3,).
         """
         amcl = self.amcl
+        here, there = self._correction.at(reckoned), amcl.pose_at(reckoned)
+        off = between2(here, there)
         elsewhere = np.hypot(*off[:2]) > ELSEWHERE or abs(off[2]) > ELSEWHERE_YAW
+        if elsewhere:
+            gain = amcl.explained(there, reckoned) - amcl.explained(here, reckoned)
+            if gain < BETTER:
+                amcl.initialise(here, self.covariance + SYSTEMATIC, reckoned, stamp)
+                elsewhere = False
         doubtful = bool(elsewhere or amcl.quality < POOR * self._usual)
         if not doubtful:
             self._doubted_since = None
@@ -246,6 +271,8 @@ class Localiser:
 
     def _tag(self, fix: TagFix) -> None:
         assert self._tags is not None
+        if self._told(fix.stamp):
+            return
         reckoned = self.fused.history.at(fix.stamp) if np.isfinite(fix.stamp) else None
         if reckoned is None:
             self._drop(f"tag {fix.text.tag_id} dropped: where it was seen is not known")
@@ -271,3 +298,25 @@ class Localiser:
             self.events.append(f"localisation: pose taken from tag {fix.text.tag_id}")
             self.amcl.initialise(decision.pose, decision.covariance, reckoned, fix.stamp)
             self._believe(decision.pose, decision.covariance, reckoned)
+
+    # --- the photoelectric network ---------------------------------------------------------------
+
+    def _told(self, stamp: float) -> bool:
+        """Whether the network tells the pose, to which scan and tags can add nothing."""
+        return self._network is not None and self._network.alive(stamp)
+
+    def _beacon(self, reading: BeaconStamps, network: BeaconFusion) -> None:
+        c = self._correction
+        believed = c.pose, c.covariance, c.odometry
+        sight = network.hear(reading, self.fused.history, self.fused.covariance, believed)
+        self.beacons.append(sight)
+        if sight.reason != self._heard:
+            self._heard = sight.reason
+            self.events.append(f"photoelectric network: {sight.reason}")
+        if sight.reason != "fused":
+            return
+        assert network.filter is not None
+        pose, covariance = network.filter.planar
+        if self.lost or self._doubted_since is not None:
+            self.amcl.initialise(pose, covariance, network.filter.odometry, sight.stamp)
+        self._believe(pose, covariance, network.filter.odometry)

@@ -128,6 +128,7 @@ class MovingObjects:
         points: Array,
         eye: Array | None = None,
         in_view: Callable[[Array], bool] = lambda xy: True,
+        at_edge: NDArray[np.bool_] | None = None,
     ) -> None:
         """Take the points of a scan that lie off the map.
 
@@ -136,6 +137,7 @@ class MovingObjects:
             points: in world, in the beams' order. Shape (n, 2).
             eye: x, y of the lidar in world; things are deeper than what is seen of them.
             in_view: whether the lidar looks at a point in world.
+            at_edge: which points lie at the edge of its field of view. Shape (n,).
         """
         o = self.options
         for each in self.objects:
@@ -143,6 +145,9 @@ class MovingObjects:
         seen = [c for c in clusters(points, o.gap, o.fewest) if np.ptp(c, axis=0).max() < o.longest]
         middles = np.array([_middle(c, eye, o.deep) for c in seen]).reshape(-1, 2)
         free = set(range(len(seen)))
+        # Of what leaves the view a part is seen, whose middle goes another way.
+        edge = points[at_edge] if at_edge is not None else points[:0]
+        cut = {j for j in free if any((seen[j] == p).all(axis=1).any() for p in edge)}
         if self.objects and seen:
             places = np.array([each.mean[POSITION] for each in self.objects])
             far = np.hypot(*(places[:, None] - middles[None]).transpose(2, 0, 1))
@@ -154,12 +159,15 @@ class MovingObjects:
                 if j not in free or each.seen == stamp:
                     continue
                 free.discard(j)
+                if j in cut:
+                    each.seen = stamp
+                    continue
                 each.update(middles[j], o.noise)
                 each.points, each.seen = seen[j] - seen[j].mean(axis=0), stamp
                 each.hits += 1
                 self._judge(each)
         start = np.diag([o.noise**2] * 2 + [o.start_speed**2] * 2)
-        for j in sorted(free):
+        for j in sorted(free - cut):
             mean = np.array([*middles[j], 0.0, 0.0])
             self.objects.append(
                 MovingObject(

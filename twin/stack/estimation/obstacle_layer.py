@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.geometry import Array, compose2, rot2, wrap_angle
+from twin.floor_plan import FOOTPRINT
+from twin.geometry import Array, compose2, rectangle, rot2, wrap_angle
 from twin.messages import LidarScan, RgbdFrame
 from twin.stack.config import StackConfig
 from twin.stack.estimation.depth_points import DepthPoints
@@ -37,6 +38,7 @@ class LayerOptions:
     drawn: float = 0.12  # m around what the map shows that belong to it: errors of pose and lidar
     moving: float = 0.20  # m likewise, for what may move
     late: float = 0.5  # s: older readings are left out
+    edge: float = 0.02  # rad of the lidar's view within which a thing may be cut off
 
 
 class ObstacleLayer:
@@ -90,6 +92,7 @@ class ObstacleLayer:
         self.lidar = OccupancyGrid(np.asarray(origin, dtype=float), resolution, blank)
         self.depth = OccupancyGrid(np.asarray(origin, dtype=float), resolution, blank.copy())
         self._shared = np.zeros((h, w), dtype=bool)
+        self.looked = np.zeros((h, w), dtype=bool)  # where the camera has looked, or it has stood
 
     # --- readings --------------------------------------------------------------------------------
 
@@ -137,12 +140,14 @@ class ObstacleLayer:
         points = self._points(place, beam_angles(scan)[near], ranges[near])
         off = self._mask(self._off_map_far, points)
         low, high = sorted((scan.angle_min, beam_angles(scan)[-1]))
+        angles = beam_angles(scan)[near][off]
+        at_edge = (angles < low + o.edge) | (angles > high - o.edge)
 
         def in_view(xy: Array) -> bool:
             direction = wrap_angle(np.arctan2(*(xy - place[:2])[::-1]) - place[2])
             return bool(low < direction < high)
 
-        self.moving.update(scan.stamp, points[off], place[:2], in_view)
+        self.moving.update(scan.stamp, points[off], place[:2], in_view, at_edge)
         moving = self.moving.near_moving(scan.stamp, points, 0.15) & off
         kept = np.where(near, ranges, np.inf)
         kept[np.nonzero(near)[0][moving]] = np.inf
@@ -175,6 +180,8 @@ class ObstacleLayer:
         fault = self._insert(self.depth, scan, kept, place, self._depth_model, clear)
         if fault is None:
             self._fill(pose, self._solid.find(frame.depth_mm), scan.stamp)
+            self.looked |= self.depth.log_odds != 0.0
+            self._stood(pose)
         return fault
 
     def _fill(self, pose: Array, points_base: Array, stamp: float) -> None:
@@ -188,6 +195,15 @@ class ObstacleLayer:
         i, j = cells[:, 0], cells[:, 1]
         raised = np.minimum(self.depth.log_odds[i, j] + self.options.depth_hit, 0.85)
         self.depth.log_odds[i, j] = np.maximum(self.depth.log_odds[i, j], raised)
+
+    def _stood(self, pose: Array) -> None:
+        """Where the vehicle stands there is nothing."""
+        x, y, yaw = pose
+        corners = np.array(rectangle(x, y, yaw, *FOOTPRINT))
+        cells = (corners - self.lidar.origin) / self.lidar.resolution - 0.5
+        mask = np.zeros(self.looked.shape, dtype=np.uint8)
+        cv2.fillConvexPoly(mask, np.rint(cells).astype(np.int32), 1)
+        self.looked |= mask > 0
 
     @staticmethod
     def _insert(grid: OccupancyGrid, scan: LidarScan, ranges, place, model, clear) -> str | None:
@@ -236,4 +252,4 @@ class ObstacleLayer:
         far = x * x + y * y > keep * keep
         self.lidar.log_odds[...] = 0.0
         self.depth.log_odds[far] = 0.0
-        self._shared[far] = False
+        self._shared[far] = self.looked[far] = False

@@ -21,6 +21,7 @@ BUCKET = (
 )
 DOWN, RIGHT = (-1, 1, 0, 0, -1, -1, 1, 1), (0, 0, -1, 1, -1, 1, -1, 1)  # diagonal steps last
 ESCAPE = 100.0  # weight of an inscribed cell near the start: only ever a way out
+ESCAPE_REACH = 0.3  # m around the start within which there are any
 
 
 class NoPath(ValueError):
@@ -70,7 +71,7 @@ def plan(
     goal,
     factor: float = 3.0,
     unknown: bool = False,
-    escape: float = 0.3,
+    escape: float = ESCAPE_REACH,
 ) -> GridPath:
     """Cheapest way between two points in world.
 
@@ -112,10 +113,14 @@ def plan(
     return GridPath(cells, xy, float(cost))
 
 
-def blocked(costmap: Costmap, xy: Array) -> bool:
-    """Whether a way (n, 2) planned earlier now leads through an obstacle, so must be replanned."""
+def blocked(costmap: Costmap, xy: Array, escape: float = ESCAPE_REACH) -> bool:
+    """Whether a way (n, 2) planned earlier now leads through an obstacle, so must be replanned.
+
+    Inscribed cells within `escape` m of its beginning are a way out, as in `plan`.
+    """
     costs = np.array([costmap.cost(p) for p in xy])
-    return bool(np.any((costs == INSCRIBED) | (costs == LETHAL)))
+    out = np.abs(xy - xy[0]).max(axis=1) <= escape
+    return bool(np.any(((costs == INSCRIBED) & ~out) | (costs == LETHAL)))
 
 
 @njit(cache=True)

@@ -14,38 +14,29 @@ import numpy as np
 from twin.geometry import Array, wrap_angle
 from twin.messages import BodyVelocity, Goal, LidarScan, NavigationState, RgbdFrame
 from twin.stack.config import DriveLimits, StackConfig
-from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.site_map import SiteMap
-from twin.stack.planning import astar
 from twin.stack.planning.clearance import (
-    RADIUS,
     Footprint,
-    no_obstacles,
     room,
     room_back,
     room_to_turn,
     standing,
 )
-from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
 from twin.stack.planning.recovery import Recovery, Stage
-from twin.stack.planning.teb import Teb
+from twin.stack.planning.route import Route
+from twin.stack.planning.surroundings import Surroundings
+from twin.stack.planning.teb import Teb, TebPlan
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
-
-LANE = 240  # cost of a cell that something that moves will pass: nearly closed
 
 
 @dataclass(frozen=True)
 class NavigatorOptions:
     """Not tuned, but where a reason is given."""
 
-    margin: float = 0.04  # m about the vehicle on the inflated map: the band keeps as much
-    path_period: float = 0.8  # s between looks for a better way
-    better: float = 0.85  # of the old way's cost at which a new one is taken
     band_period: float = 0.2  # s between bands
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
     reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
     squeeze: float = 0.03  # m of room for a vehicle that stands and finds no wider way
-    beside: float = 1.0  # m beside the way within which obstacles count
     astray: float = 0.10  # m off the reference at which the next band starts from the pose
     astray_turn: float = 0.15  # rad likewise
     closing: float = 1.0  # s before the end from which a good band is not replaced
@@ -79,28 +70,18 @@ class Navigator:
     ):
         self.options = options or NavigatorOptions()
         self.footprint = Footprint()
-        by = 2 * self.options.margin
-        self._wide = Footprint(self.footprint.length + by, self.footprint.width + by)
-        self.layer = ObstacleLayer(config)
+        self.surroundings = Surroundings(config, floor_map, self.footprint)
         self.teb = Teb(_with_reserve(config.drive, self.options.reserve), self.footprint)
         self.follower = TrajectoryFollower(config.drive)
         self.recovery = Recovery()
         self.events: list[str] = []
         self.active, self.outcome = False, ""
         self.replans = self.recoveries = 0  # of this goal
-        self._speed = config.drive.speed
         self._outcomes: list[tuple[str, str]] = []
         self._goal: Goal | None = None
-        self.set_map(floor_map, unknown_ok=False)
         self._reset()
 
     # --- asked from outside ----------------------------------------------------------------------
-
-    def set_map(self, site_map: SiteMap, unknown_ok: bool) -> None:
-        """Drive by another map from now on; unknown cells may be crossed or not."""
-        self._map, self._unknown_ok = site_map, unknown_ok
-        self.layer.set_map(site_map.states, site_map.resolution, site_map.origin)
-        self._costmap: Costmap | None = None
 
     def go(self, now: float, goal: Goal) -> str:
         """Set out for a goal; another one under way is dropped.
@@ -109,7 +90,7 @@ class Navigator:
             Empty, or in one line why it is refused; then nothing is changed but the outcome of a
             vehicle that has nothing to do.
         """
-        why = self._refusal(goal)
+        why = self.surroundings.refusal(goal)
         if why:
             self.events.append(f"{goal.name}: {why}")
             if not self.active:
@@ -126,10 +107,6 @@ class Navigator:
         self.events.append(f"on the way to {goal.name}")
         return ""
 
-    def cancel(self) -> None:
-        """Give the goal up; it is under way until the vehicle has come to rest."""
-        self._cancelled = self.active
-
     def restart(self, jump: float = math.inf) -> None:
         """Others have moved the vehicle: plan anew to the goal.
 
@@ -138,45 +115,13 @@ class Navigator:
                 seen stays true.
         """
         if jump > self.options.astray:
-            self.layer.forget(np.zeros(3), keep=0.0)
+            self.surroundings.forget(np.zeros(3), keep=0.0)
         self.follower.stop()
         self._reset()
 
-    def _refusal(self, goal: Goal) -> str:
-        pose = np.asarray(goal.pose, dtype=float)
-        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-            return f"refused: goal {goal.pose} is not a finite x, y, yaw"
-        drawn = inflate(self._map.states, self._map.resolution, self._map.origin, self.footprint)
-        at = f"goal ({pose[0]:.2f}, {pose[1]:.2f})"
-        if drawn.cell(pose) is None:
-            return f"refused: {at} lies off the map"
-        if drawn.cost(pose) == LETHAL or not drawn.fits(pose, self.footprint):
-            return f"refused: at {at} the vehicle would stand in an obstacle"
-        if drawn.cost(pose) == UNKNOWN and not self._unknown_ok:
-            return f"refused: {at} lies on unknown ground"
-        return ""
-
     def hear(self, reading: LidarScan | RgbdFrame, pose_at_exposure: Array | None) -> None:
         """Take a scan or a depth picture, and the localised pose at its exposure."""
-        if self.layer.hear(reading, pose_at_exposure) is None:
-            self._fresh, self._stale_costs = True, True
-
-    @property
-    def approaching(self) -> bool:
-        """Whether the band under way ends at the goal."""
-        return self.active and self._final and self.follower.trajectory is not None
-
-    def remaining_time(self, now: float) -> float:
-        """Seconds to the goal: of the band, and at full speed for what lies beyond it."""
-        if not self.active or self.follower.trajectory is None:
-            return math.inf if self.active else 0.0
-        if self._final:
-            return self.follower.remaining
-        end = self.follower.trajectory.nodes[-1, :2]
-        rest = self._path[int(np.argmin(np.hypot(*(self._path - end).T))) :]
-        return (
-            self.follower.remaining + float(np.hypot(*np.diff(rest, axis=0).T).sum()) / self._speed
-        )
+        self._fresh = self.surroundings.hear(reading, pose_at_exposure) or self._fresh
 
     @property
     def state(self) -> NavigationState:
@@ -185,7 +130,7 @@ class Navigator:
         return NavigationState(
             self._goal.name if self._goal is not None and self.active else "",
             tuple(self._outcomes),
-            self._path,
+            self.route.xy,
             np.zeros((0, 3)) if trajectory is None else trajectory.nodes[:, :3],
             self.recovery.stage.value if self.recovery.active else "",
         )
@@ -204,8 +149,6 @@ class Navigator:
             return BodyVelocity()
         if not self.active:
             return BodyVelocity()
-        if self._cancelled:
-            return self._coming_to_rest(pose)
         if self._giving_up:
             if np.abs(velocity).max() < self.options.still:
                 self._end(self._giving_up)
@@ -230,12 +173,6 @@ class Navigator:
             self._plan(now, pose, velocity)
         return self.follower.step(pose, self._brake)
 
-    def _coming_to_rest(self, pose: Array) -> BodyVelocity:
-        command = self.follower.step(pose, brake=True)
-        if self.follower.stopped:
-            self._end("cancelled")
-        return command
-
     def _look_ahead(self, now: float) -> None:
         """Check the way ahead against what is known now: go on, plan anew, or stop."""
         trajectory = self.follower.trajectory
@@ -243,7 +180,7 @@ class Navigator:
         if trajectory is None:
             return
         here, _ = self.follower.reference
-        near = self._obstacles(now, trajectory.nodes[:, :2], here)
+        near = self._beside(now, trajectory.nodes[:, :2], here)
         o, phase = self.options, self.follower.phase
         need = min(o.touch, 0.5 * room(here, self.footprint, near))
         still = standing(near)
@@ -253,8 +190,7 @@ class Navigator:
         whole = self.follower.stopping_time() + o.reaction
         stop = 0.5 * self.follower.stopping_time() + o.reaction
         # What moves may turn about: stop while it still stops too.
-        threats = self.layer.moving.threats(now, whole + o.estimate)
-        threats = _shrunk(threats, here, self.footprint)
+        threats = self.surroundings.threats(now, whole + o.estimate, here)
         threat = trajectory.touch(phase, self.footprint, threats, need)
         self._brake = touch < stop or meet < stop + o.caution or threat < stop
         if min(touch, meet) == math.inf:
@@ -294,12 +230,9 @@ class Navigator:
         start, speed = self._start(pose, velocity)
         reason = self._find_path(now, start)
         if not reason:
-            near = self._obstacles(now, self._path, start)
-            plan = self.teb.plan(now, start, speed, self._path, self._pose_goal[2], near)
-            if plan.trajectory is None and not moving_on:
-                plan = self.teb.plan(
-                    now, start, speed, self._path, self._pose_goal[2], near, o.squeeze
-                )
+            # From here on: the band's horizon must not be used up by the way that lies behind.
+            near = self._beside(now, self.route.left(start), start)
+            plan = self._band(now, start, speed, near, None if moving_on else o.squeeze)
             reason = plan.reason
             if plan.trajectory is not None:
                 if self.follower.trajectory is not plan.trajectory:
@@ -310,6 +243,22 @@ class Navigator:
                 return True
         self._without_plan(now, pose, reason)
         return False
+
+    def _band(
+        self, now: float, start: Array, speed: Array, near: Array, squeeze: float | None
+    ) -> TebPlan:
+        """The best band that there is: over ground that was looked at, over any, or squeezed."""
+        way, yaw = self.route.xy, self._pose_goal[2]
+        unseen, last = self.surroundings.unseen(start), self.teb.last
+        if len(unseen):
+            plan = self.teb.plan(now, start, speed, way, yaw, np.vstack([near, unseen]))
+            if plan.trajectory is not None:
+                return plan
+            self.teb.last = last  # to start from all the same
+        plan = self.teb.plan(now, start, speed, way, yaw, near)
+        if plan.trajectory is None and squeeze is not None:
+            plan = self.teb.plan(now, start, speed, way, yaw, near, squeeze)
+        return plan
 
     def _take(self, now: float, trajectory, start: Array) -> None:
         if trajectory.began == now:
@@ -329,45 +278,13 @@ class Navigator:
 
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
-        o, costs = self.options, self._costs()
-        lanes = self.layer.moving.lanes(now)
-        if lanes:
-            costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
-            for a, b, half in lanes:
-                costs.dearer(a, b, half + self.footprint.inscribed, LANE)
-        left = self._left_of_path(start)
-        blocked = len(left) == 0 or astar.blocked(costs, left)
-        if not blocked and now < self._path_due:
-            return ""
-        self._path_due = now + o.path_period
-        try:
-            found = astar.plan(costs, start, self._pose_goal, unknown=self._unknown_ok)
-        except astar.NoPath as error:
-            if not blocked:
-                return ""
-            self._path = np.zeros((0, 2))
-            return str(error)
-        if blocked and len(self._path):
+        around = self.surroundings
+        costs = around.costs_with_lanes(now)
+        blocked, reason = self.route.renew(now, start, self._pose_goal, costs, around.unknown_ok)
+        if blocked:
             self.replans += 1
             self.events.append("the way is blocked: another one is taken")
-        if blocked or self._cost(costs, found.xy) < o.better * self._cost(costs, left):
-            self._path = found.xy
-        return ""
-
-    def _left_of_path(self, start: Array) -> Array:
-        """The way from the point nearest to the start on. Shape (n, 2)."""
-        if len(self._path) == 0:
-            return self._path
-        far = np.hypot(*(self._path - start[:2]).T)
-        k = int(np.argmin(far))
-        return self._path[k:] if far[k] < 0.6 else self._path[:0]
-
-    @staticmethod
-    def _cost(costs: Costmap, xy: Array) -> float:
-        """Weighted length of a way, m, as A* counts it."""
-        step = np.hypot(*np.diff(xy, axis=0).T)
-        weight = np.array([1.0 + 3.0 * min(costs.cost(p), 252) / 252 for p in xy[1:]])
-        return float(step @ weight)
+        return reason
 
     def _without_plan(self, now: float, pose: Array, reason: str) -> None:
         """No band: the last one is driven on while it is free, then stop, wait, recover."""
@@ -381,7 +298,7 @@ class Navigator:
         self._due = now + (o.retry if self.follower.trajectory is None else o.band_period)
         if self.follower.trajectory is not None:
             return
-        moving = len(self.layer.moving.obstacles(now)) > 0
+        moving = self.surroundings.moving(now)
         if now - self._blocked_since > (o.patience_moving if moving else o.patience):
             self._start_recovery(now, pose, reason)
 
@@ -396,8 +313,7 @@ class Navigator:
 
     def _watch_progress(self, now: float, pose: Array) -> None:
         """Recovery for a vehicle that does not come nearer, whatever the plans say."""
-        left = self._left_of_path(pose)
-        way = float(np.hypot(*np.diff(left, axis=0).T).sum()) if len(left) > 1 else 0.0
+        way = self.route.length_left(pose)
         way += 0.3 * abs(float(wrap_angle(self._pose_goal[2] - pose[2])))
         since, least = self._progress
         if way < least - 0.1 or self._blocked_since is not None:
@@ -410,9 +326,7 @@ class Navigator:
             self._start_recovery(now, pose, f"no progress for {self.options.no_progress:.0f} s")
 
     def _recover(self, now: float, pose: Array) -> BodyVelocity:
-        near = self._costs().obstacles(pose, 2.0)
-        near = np.vstack([near, self.layer.moving.obstacles(now)])
-        near = _shrunk(near, pose, self.footprint)
+        near = self.surroundings.about(now, pose)
         turn = room_to_turn(pose, self.footprint, near)
         back = room_back(pose, self.footprint, near)
         step = self.recovery.step(now, pose, self._recovered, turn, back)
@@ -420,8 +334,7 @@ class Navigator:
         if step.event:
             self.events.append(step.event)
         if step.clear_map:
-            self.layer.forget(pose, self.options.keep)
-            self._stale_costs = True
+            self.surroundings.forget(pose, self.options.keep)
         if step.replan:
             self._blocked_since = now  # or it would start recovery again
             self._recovered = self._plan(now, pose, np.zeros(3))
@@ -433,23 +346,9 @@ class Navigator:
 
     # --- inside ----------------------------------------------------------------------------------
 
-    def _costs(self) -> Costmap:
-        """The inflated map with the live obstacles."""
-        if self._costmap is None or self._stale_costs:
-            self._costmap = inflate(
-                self.layer.states(), self._map.resolution, self._map.origin, self._wide
-            )
-            self._stale_costs = False
-        return self._costmap
-
-    def _obstacles(self, now: float, way: Array, start: Array) -> Array:
-        """Rows as in `clearance` of what stands beside a way, and of what moves."""
-        way = np.vstack([start[:2], way]) if len(way) else start[None, :2]
-        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-        way = way[s <= self.teb.options.horizon + 1.0]
-        around = self._costs().obstacles_along(way, self.options.beside)
-        around = np.vstack([around, self.layer.moving.obstacles(now)])
-        return _shrunk(around, start, self.footprint)
+    def _beside(self, now: float, way: Array, start: Array) -> Array:
+        """What counts for a band along a way, rows as in `clearance`."""
+        return self.surroundings.along(now, way, start, self.teb.options.horizon + 1.0)
 
     def _end(self, outcome: str) -> None:
         assert self._goal is not None
@@ -459,13 +358,13 @@ class Navigator:
         self.follower.stop()
 
     def _reset(self) -> None:
-        self._path = np.zeros((0, 2))
-        self._due = self._path_due = -math.inf
+        self.route = Route()
+        self._due = -math.inf
         self._brake = self._in_the_way = self._final = self._recovered = False
-        self._fresh, self._stale_costs, self._tries = False, True, 0
+        self._fresh, self._tries = False, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
-        self._cancelled, self._giving_up = False, ""
+        self._giving_up = ""
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()
@@ -481,19 +380,3 @@ def _with_reserve(drive: DriveLimits, reserve: float) -> DriveLimits:
         acceleration=k * drive.acceleration,
         turn_acceleration=k * drive.turn_acceleration,
     )
-
-
-def _shrunk(obstacles: Array, pose: Array, footprint: Footprint) -> Array:
-    """Obstacles cut back to where the vehicle is not: it stands there, so they do not.
-
-    Cells are coarse and poses err; a few centimetres of a wall may seem to reach into the vehicle,
-    and what is guessed of a thing's far side may lie in it whole.
-    """
-    out = obstacles.copy() if len(obstacles) else no_obstacles()
-    kept = np.ones(len(out), dtype=bool)
-    for k in range(len(out)):
-        free = room(pose, footprint, out[k : k + 1])
-        if free < 0.01:
-            out[k, RADIUS] = max(out[k, RADIUS] + free - 0.01, 0.0)
-            kept[k] = room(pose, footprint, out[k : k + 1]) > 0
-    return out[kept]

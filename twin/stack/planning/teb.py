@@ -27,16 +27,11 @@ from twin.stack.planning.clearance import (
     room,
     standing,
 )
+from twin.stack.planning.teb_check import fault, room_fault, rooms_kept, shares
+from twin.stack.planning.teb_retime import retimed
 from twin.stack.planning.teb_seeds import PASSES, bent, headings, smoothed, spaced, timed
 from twin.stack.planning.teb_solver import Weights, limits_of, optimise, resized
-from twin.stack.planning.teb_trajectory import (
-    Trajectory,
-    fault,
-    retimed,
-    room_fault,
-    rooms_kept,
-    shares,
-)
+from twin.stack.planning.teb_trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -46,7 +41,7 @@ class TebOptions:
     horizon: float = 5.0  # m of the way that one band covers
     step: float = 0.3  # s between nodes
     most: int = 60  # nodes
-    room: float = 0.055  # m that must be kept to every obstacle: the hard check
+    room: float = 0.04  # m that must be kept to every obstacle: the hard check
     first: int = 12  # iterations that every alternative gets
     rounds: tuple[float, ...] = (1.0, 4.0, 12.0)  # weights of limits and room, round by round
     iterations: int = 16  # of each round

@@ -11,7 +11,6 @@ import numpy as np
 from twin.geometry import compose2
 from twin.messages import Goal, MapOrder
 from twin.stack.estimation.mapper import Mapper
-from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.tasks.mission import Act, Behaviour, sequence
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ class Tour:
         stack, mapper = self._stack, self.mapper
         why = mapper.calibrate()
         stack.navigator.events.append(why or _in_words(mapper))
-        stack.navigator.layer = ObstacleLayer(mapper.belief)
+        stack.navigator.surroundings.set_belief(mapper.belief)
         self._hand_over()
 
     def calibrated(self) -> bool:
@@ -74,7 +73,7 @@ class Tour:
 
     def _hand_over(self) -> None:
         self._handed = self._stack.now
-        self._stack.navigator.set_map(self.mapper.site_map(), unknown_ok=True)
+        self._stack.navigator.surroundings.set_map(self.mapper.site_map(), unknown_ok=True)
 
 
 def _in_words(mapper: Mapper) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.geometry import Array
 from twin.stack.estimation.beacons.angles import Crossings, normal_derivatives, normals
-from twin.stack.estimation.beacons.consensus import find_poses
+from twin.stack.estimation.beacons.consensus import find_poses, floor_of
 from twin.stack.estimation.beacons.refine import linearise, motion, moved
 from twin.stack.estimation.beacons.small import scaled_inverse
 from twin.stack.estimation.beacons.stamps import HeadParameters, NodeSurvey
@@ -288,6 +288,6 @@ def _guess(stop: Crossings, nodes: Array, head: HeadParameters):
     loose = START_SIGMA**2 * np.eye(m)
     R, p, _, _, found, _, _ = find_poses(
         *(nodes, np.zeros(len(nodes)), stop.node, stop.plane, stop.theta, normals(head), A, s),
-        *(loose, True),
+        *(loose, True, floor_of(np.eye(4), np.inf, np.inf)),
     )
     return (R[0], p[0]) if found else None

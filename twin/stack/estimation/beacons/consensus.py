@@ -9,6 +9,7 @@ pose is the sum over node and plane of the least squared residual in sigmas, cut
 import numpy as np
 from numba import njit
 
+from twin.geometry import Array, inverse
 from twin.stack.estimation.beacons.angles import crossing_angle
 from twin.stack.estimation.beacons.p3p import COLLINEAR, solve_triple
 from twin.stack.estimation.beacons.refine import least_squares, linearise
@@ -17,11 +18,12 @@ CUT = 4.0  # sigmas beyond which a crossing is an outlier
 LOOSE = 25.0  # sigmas allowed before polishing: a triple's noise grows towards the other nodes
 SLACK = 1e-4  # of `quartic.distances`: noise on the danger cylinder is polished away here
 KEPT = 6  # poses with different supports that are handed back
+SLACK_FLOOR = 3.0  # on the limits of `upright` before a pose is polished
 MOST_TRIPLES = 120  # of ten nodes; more nodes are no likelier to be all wrong
 
 
 @njit(cache=True)
-def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance, still):
+def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance, still, floor):
     """Poses that some triple proposes, best first.
 
     Args:
@@ -31,6 +33,7 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
         A, s: of `refine.motion`.
         covariance: of theta. Shape (m, m).
         still: whether the vehicle stands, so that rays need no correction for motion.
+        floor: of `floor_of`, what is known of the vehicle's stand. Shape (8,).
 
     Returns:
         R (KEPT, 3, 3), p (KEPT, 3), cost (KEPT,), support (KEPT, m), how many, number of rays'
@@ -73,6 +76,8 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
                 pw[a] = -(R[k, 0, a] * t[k, 0] + R[k, 1, a] * t[k, 1] + R[k, 2, a] * t[k, 2])
                 for b in range(3):
                     Rw[a, b] = R[k, b, a]
+            if not upright(Rw, pw, floor, SLACK_FLOOR):
+                continue
             if not still:
                 least_squares(
                     Rw,
@@ -117,12 +122,35 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
                 cost, count = _judge(r, sigma, node, plane, cut, support)
                 if count < 6:
                     break
-            if count < 6:
+            if count < 6 or not upright(Rw, pw, floor, 1.0):
                 continue
             found = _keep(Rw, pw, cost, support, R_out, p_out, cost_out, support_out, found)
         if found and support_out[0].sum() == wanted:
             break  # everybody agrees
     return R_out, p_out, cost_out, support_out, found, seen, len(triples)
+
+
+def floor_of(T_base_head: Array, height: float, tilt: float) -> Array:
+    """What `upright` asks for, of a head on a vehicle that stands on a level floor. Shape (8,).
+
+    Four flat nodes, three of them on a line, fit poses that are decimetres apart; but a vehicle
+    does not hover.
+
+    Args:
+        T_base_head: mount. Shape (4, 4).
+        height: of the base's origin over or under the floor z = 0 at most, m; inf if unknown.
+        tilt: of the base at most, rad; inf if unknown.
+    """
+    level = np.cos(tilt) if tilt < np.pi else -2.0
+    return np.concatenate([T_base_head[2, :3], inverse(T_base_head)[:3, 3], [level, height]])
+
+
+@njit(cache=True)
+def upright(R, p, floor, slack):
+    """Whether a vehicle whose head is at R, p stands on the floor, within limits times slack."""
+    up = R[2, 0] * floor[0] + R[2, 1] * floor[1] + R[2, 2] * floor[2]
+    height = p[2] + R[2, 0] * floor[3] + R[2, 1] * floor[4] + R[2, 2] * floor[5]
+    return 1.0 - up <= slack**2 * (1.0 - floor[6]) and abs(height) <= slack * floor[7]
 
 
 @njit(cache=True)

@@ -20,9 +20,10 @@ from twin.stack.estimation.beacons.angles import (
     rotation_angle,
 )
 from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
-from twin.stack.estimation.beacons.consensus import find_poses
+from twin.stack.estimation.beacons.consensus import find_poses, floor_of
 from twin.stack.estimation.beacons.p3p import DANGER, conditioning, p3p_checked, triple_fault
 from twin.stack.estimation.beacons.refine import head_twist, motion
+from twin.stack.estimation.beacons.rigid import cross_matrix
 from twin.stack.estimation.beacons.settle import Settled, settle
 from twin.stack.estimation.beacons.stamps import (
     PLANE_1,
@@ -78,6 +79,7 @@ class Locator:
         sequence, counter, noise: of the network.
         spin_rate: nominal turns per second, within a few percent.
         loosest: standard deviation of the position, along the worst axis, that is still a fix, m.
+        height, tilt: of the base over the level floor z = 0 at most, m and rad; inf if unknown.
     """
 
     survey: NodeSurvey
@@ -88,6 +90,8 @@ class Locator:
     noise: Noise = field(default_factory=Noise)
     spin_rate: float = 30.0
     loosest: float = 0.03
+    height: float = float("inf")
+    tilt: float = float("inf")
 
     def crossings(self, stamps: StampBatch) -> tuple[Crossings, float] | NoFix:
         """Angles of the last whole revolution, and the time of its middle."""
@@ -135,7 +139,8 @@ class Locator:
         A, s = motion(twist, seen.time)
         still = bool(np.abs(twist).max() < STILL)
         data = nodes, sigma_node, seen.node, seen.plane, seen.theta, normals(self.head), A, s
-        R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still)
+        floor = floor_of(self.T_base_head, self.height, self.tilt)
+        R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still, floor)
         if visible < 3:
             return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
         if not triples:
@@ -145,7 +150,7 @@ class Locator:
         if not found:
             return NoFix("no solution", f"no pose agrees with more than three of {visible} nodes")
         start = [(R[k], p[k], cost[k]) for k in range(found)]
-        settled = settle(start, data, seen.covariance)
+        settled = settle(start, data, seen.covariance, floor)
         if isinstance(settled, NoFix):
             return settled
         rows, chi, covariance = settled.rows, settled.chi_square, settled.covariance
@@ -232,13 +237,9 @@ def base_from_head(T_world_head: Array, T_head_base: Array) -> Array:
     """Derivative of the base's small error by the head's, see `refine`. Shape (6, 6)."""
     R, lever = T_world_head[:3, :3], T_head_base[:3, 3]
     J = np.eye(6)
-    J[:3, 3:] = -R @ _cross(lever)
+    J[:3, 3:] = -R @ cross_matrix(lever)
     J[3:, 3:] = T_head_base[:3, :3].T
     return J
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _disorder(stamps: StampBatch, aligned: Aligned) -> NoFix | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.geometry import Array, between2, inverse, rot_z, transform, wrap_angle
-from twin.stack.estimation.beacons.rigid import exp_rotation
+from twin.stack.estimation.beacons.rigid import exp_rotation, log_rotation
 
 ITERATIONS = 30
 AXES = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "turn about z")
@@ -91,13 +91,6 @@ def _planar(T: Array) -> Array:
     return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
 
 
-def _log(R: Array) -> Array:
-    """Rotation vector of a rotation by less than half a turn. Shape (3,)."""
-    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    s, c = float(np.linalg.norm(v)), 0.5 * (float(np.trace(R)) - 1.0)
-    return v * (np.arctan2(s, c) / s if s > 1e-12 else 1.0)
-
-
 def _linearised(stops: list[Stop], T: Array, bases: Array) -> tuple[Array, Array]:
     """Residuals measured - predicted in sigmas, and the prediction's derivatives.
 
@@ -110,7 +103,7 @@ def _linearised(stops: list[Stop], T: Array, bases: Array) -> tuple[Array, Array
         Rz = rot_z(yaw)
         R, lever = Rz @ T[:3, :3], Rz @ T[:3, 3]
         shift = stop.T_world_head[:3, 3] - np.array([x, y, 0.0]) - lever
-        r = np.concatenate([shift, _log(R.T @ stop.T_world_head[:3, :3])])
+        r = np.concatenate([shift, log_rotation(R.T @ stop.T_world_head[:3, :3])])
         J = np.zeros((6, 6 + 3 * len(stops)))
         J[:3, :3], J[3:, 3:6] = Rz, np.eye(3)
         at = 6 + 3 * k

@@ -6,7 +6,7 @@ from numba import njit
 from twin.geometry import Array, transform
 from twin.stack.estimation.beacons.small import rotation_exp
 
-__all__ = ["euler_xyz", "exp_rotation", "rigid_fit", "rotation_of"]
+__all__ = ["cross_matrix", "euler_xyz", "exp_rotation", "log_rotation", "rigid_fit", "rotation_of"]
 
 
 def rigid_fit(p_a: Array, p_b: Array) -> Array:
@@ -29,6 +29,18 @@ def exp_rotation(vector: Array) -> Array:
     out = np.empty((3, 3))
     rotation_exp(float(vector[0]), float(vector[1]), float(vector[2]), out)
     return out
+
+
+def log_rotation(R: Array) -> Array:
+    """Rotation vector of a rotation by less than half a turn, rad. Shape (3, 3) to (3,)."""
+    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    s, c = float(np.linalg.norm(v)), 0.5 * (float(np.trace(R)) - 1.0)
+    return v * (np.arctan2(s, c) / s if s > 1e-12 else 1.0)
+
+
+def cross_matrix(v: Array) -> Array:
+    """[v] with [v] u = v x u. Shape (3,) to (3, 3)."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def euler_xyz(rotation: Array) -> Array:

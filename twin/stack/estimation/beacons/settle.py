@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Array
+from twin.stack.estimation.beacons.consensus import upright
 from twin.stack.estimation.beacons.refine import (
     ITERATIONS,
     chi_square_limit,
@@ -49,13 +50,16 @@ class Settled:
         return freedom > 0 and self.chi_square < chi_square_limit(freedom, Z_LIMIT)
 
 
-def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) -> Settled | NoFix:
+def settle(
+    starts: list[tuple[Array, Array, float]], data, covariance: Array, floor: Array
+) -> Settled | NoFix:
     """Least squares on the crossings that can be trusted.
 
     Args:
         starts: R, p and cost of poses of `consensus.find_poses`, best first.
         data: nodes, their sigma, node, plane and theta of the crossings, normals, A, s.
         covariance: of theta. Shape (m, m).
+        floor: of `consensus.floor_of`. Shape (8,).
     """
     node = data[2]
     readings = _readings(starts[0], data, covariance)
@@ -65,7 +69,7 @@ def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) ->
     agreeing = []
     apart = _apart(starts)
     for start, rows in product(apart, readings):
-        fitted = _fitted(start, rows, data, covariance)
+        fitted = _fitted(start, rows, data, covariance, floor)
         if fitted is not None and fitted.acceptable() and fitted.blocks.max() < BLOCK_LIMIT:
             agreeing.append(fitted)
     for count in (1, 2):
@@ -76,7 +80,7 @@ def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) ->
                 rest = rows[~np.isin(node[rows], culprits)]
                 # What is left must check itself better than those left out could check it.
                 if len(rest) - 6 >= LEAST_FREEDOM * count and _redundancy(rest, node) is None:
-                    fitted = _fitted(start, rest, data, covariance)
+                    fitted = _fitted(start, rest, data, covariance, floor)
                     if fitted is not None and fitted.acceptable():
                         agreeing.append(fitted)
     if agreeing:
@@ -89,14 +93,16 @@ def settle(starts: list[tuple[Array, Array, float]], data, covariance: Array) ->
     return NoFix("residuals", "no choice of one or two false nodes leaves the others in agreement")
 
 
-def _fitted(start, rows, data, covariance: Array) -> Settled | None:
+def _fitted(start, rows, data, covariance: Array, floor: Array) -> Settled | None:
     R, p = start[0].copy(), start[1].copy()
     nodes, sigma_node, node, plane, theta, normals, A, s = data
     _, chi, pose_covariance, blocks = least_squares(
         *(R, p, rows, nodes, sigma_node, node, plane, theta, normals, A, s, covariance),
         ITERATIONS,
     )
-    return Settled(R, p, rows, chi, pose_covariance, blocks) if np.isfinite(chi) else None
+    if not (np.isfinite(chi) and upright(R, p, floor, 1.0)):
+        return None
+    return Settled(R, p, rows, chi, pose_covariance, blocks)
 
 
 def _readings(start, data, covariance: Array) -> list[NDArray[np.int64]]:

@@ -1,0 +1,86 @@
+"""The field before the truss of the photoelectric network: set-up and calibration for scenarios.
+
+The vehicle starts in a dock that faces the truss; what it must know of its head it measures in a
+calibration drive first, unless the layout's options name the file of an earlier one.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from evaluation.run import RunRequest
+from evaluation.simulation import Simulation
+from twin.layout import Layout
+from twin.messages import BeaconOrder
+from twin.stack.estimation.beacon_calibration import save_beacon_calibration
+
+DOCK = (2.5, 2.6, float(np.pi))  # x, y, yaw: the truss is 3.1 m ahead of the head
+FILE = "beacon_calibration.json"
+WEST = float(np.pi)  # yaw that faces the truss
+# Turns on the spot show where on the vehicle the head is, ways its yaw, changes of range and
+# bearing the planes' angles.
+STOPS = (
+    (2.3, 2.6, WEST),
+    (2.3, 2.6, WEST + 0.8),
+    (2.3, 2.6, WEST + 1.6),
+    (1.5, 2.2, WEST + 1.6),
+    (1.5, 2.2, WEST + 0.7),
+    (1.5, 2.2, WEST - 0.3),
+    (1.5, 3.4, WEST + 0.2),
+    (1.5, 3.4, WEST + 1.0),
+    (0.9, 2.8, WEST + 0.4),
+    (0.9, 2.8, WEST - 0.4),
+    (2.2, 2.0, WEST - 0.4),
+    (2.2, 2.0, WEST + 0.5),
+)
+DWELL = 1.7  # s at each stop: 50 turns of the head
+LONGEST = 240.0  # s of simulated time after which a calibration drive is given up
+
+
+def in_the_field(layout: Layout) -> Layout:
+    """The layout with head and truss fitted, and the dock before the truss; no cameras."""
+    world, site, options = layout.world, layout.site, layout.options
+    beacons = world.beacons.model_copy(update={"fitted": True})
+    sensors = world.sensors.model_copy(update={"cameras": False})
+    world = world.model_copy(update={"beacons": beacons, "sensors": sensors})
+    site = site.model_copy(update={"dock": DOCK})
+    method = "all" if options.beacons == "off" else options.beacons
+    options = options.model_copy(update={"beacons": method, "tags": False})
+    tree = {"site": site, "world": world, "options": options}
+    return Layout.model_validate({key: value.model_dump() for key, value in tree.items()})
+
+
+def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:
+    """The field, with a calibration of this vehicle's head; None if its drive was broken off.
+
+    Without a file in the options the drive is made first, and its file left in the run's folder.
+
+    Raises:
+        ValueError: one line, if the drive did not determine the calibration.
+    """
+    layout = in_the_field(layout)
+    if layout.options.beacon_calibration is not None:
+        return layout
+
+    def progress(time: float, total: float, text: str) -> None:
+        request.progress(time, total, f"calibration: {text}")
+
+    quiet = replace(
+        request, record=False, log=False, viewer=False, progress=progress, duration=None
+    )
+    bare = without_network(layout)
+    faults = bare.world.faults.model_copy(update={"beacons": type(bare.world.faults.beacons)()})
+    bare = bare.model_copy(update={"world": bare.world.model_copy(update={"faults": faults})})
+    with Simulation(quiet, bare, BeaconOrder(0.0, STOPS, DWELL)) as sim:
+        if not sim.run(LONGEST, lambda tick: sim.stack.done) or sim.stack.head is None:
+            return None
+        path = request.out / FILE
+        save_beacon_calibration(sim.stack.head.solve(), path)
+    options = layout.options.model_copy(update={"beacon_calibration": str(path)})
+    return layout.model_copy(update={"options": options})
+
+
+def without_network(layout: Layout) -> Layout:
+    """The layout with the network heard, but not used for the pose."""
+    options = layout.options.model_copy(update={"beacons": "off"})
+    return layout.model_copy(update={"options": options})

@@ -1,0 +1,118 @@
+"""The vehicle stands before the truss and is measured 500 times: the scatter of its place.
+
+The source's Fig. 11 (Liu et al. 2022, section 3.2.1): each measurement is one turn of the head
+without memory, by the source's method on the three nodes that are best by their bound. On the same
+turns our estimator takes all nodes, and the filter goes on from turn to turn. World x is along the
+range, y and z across. `series.npz` in the run's folder holds the measured places.
+"""
+
+import numpy as np
+
+from evaluation.beacon_field import calibrated_field
+from evaluation.beacons import (
+    BeaconMonitor,
+    best_triple,
+    calibration_errors,
+    matrix,
+    rms,
+    true_mount,
+    true_setting,
+)
+from evaluation.run import Criterion, RunRequest, RunResult
+from evaluation.simulation import Simulation
+from twin.geometry import Array
+from twin.layout import Layout
+from twin.loop import Tick
+from twin.messages import CourseOrder
+from twin.stack.estimation.beacon_receiver import locator, stamp_batch
+from twin.stack.estimation.beacons.bound import pose_bound, position_sigma
+from twin.stack.estimation.beacons.fix import Fix
+
+MEASUREMENTS = 500
+BEGIN = 3.0  # s at which the filter has settled and the measurements begin
+LONGEST = 60.0  # s of simulated time after which the run is given up
+SOURCE = np.array([0.4014, 2.6179, 2.7976])  # mm, of x, y, z: Liu et al. 2022, section 3.2.1
+FACTOR = 1.5  # within which its scatter must be met
+AXES = ("x", "y", "z")
+
+LOW, HIGH = SOURCE / FACTOR, SOURCE * FACTOR
+
+CRITERIA = [
+    *[Criterion(f"sigma_{a}_mm", ">=", float(v)) for a, v in zip(AXES, LOW, strict=True)],
+    *[Criterion(f"sigma_{a}_mm", "<=", float(v)) for a, v in zip(AXES, HIGH, strict=True)],
+    *[Criterion(f"sigma_ours_over_source_{a}", "<", 1.0) for a in "yz"],
+    *[Criterion(f"gain_over_bounds_{a}", ">=", 0.9) for a in "yz"],
+    *[Criterion(f"gain_over_bounds_{a}", "<=", 1.1) for a in "yz"],
+    *[Criterion(f"sigma_filtered_{a}_mm", "<=", 0.5) for a in "yz"],
+    Criterion("rmse_over_bound", "<=", 1.15),
+]
+
+
+def run(request: RunRequest, layout: Layout) -> RunResult:
+    """Calibration drive, then the measurements."""
+    field = calibrated_field(request, layout)
+    if field is None:
+        return RunResult(notes=["the calibration drive was broken off"])
+    watch = BeaconMonitor()
+    with Simulation(request, field, CourseOrder(0.0, ()), (watch,)) as sim:
+
+        def over(tick: Tick) -> bool:
+            return sum(r.stamp >= BEGIN for r in watch.readings) >= MEASUREMENTS
+
+        complete = sim.run(LONGEST, over)
+        figures, series = metrics(sim, watch)
+        np.savez_compressed(request.out / "series.npz", allow_pickle=False, **series)
+        return sim.result(figures, CRITERIA, complete, watch.outcomes())
+
+
+def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], dict[str, Array]]:
+    """All figures, and the measured places of the head in world by method. Shapes (n, 3), m."""
+    config, plant = sim.stack.config, sim.plant
+    place = locator(config)
+    readings = [r for r in watch.readings if r.stamp >= BEGIN]
+    if not readings:
+        return {}, {}
+    T = watch.truth_at(readings[0].stamp) @ true_mount(plant)
+    three, triple_bound = best_triple(plant, T)
+    fourth = next(name for name in place.survey.names if name not in three)
+    ours, source, squares = [], [], []
+    for reading in readings:
+        stamps = stamp_batch(reading)
+        found = place.fix(stamps)
+        if isinstance(found, Fix):
+            true = watch.truth_at(reading.stamp - 0.5 / place.spin_rate) @ true_mount(plant)
+            ours.append(found.T_world_head[:3, 3])
+            squares.append(found.T_world_head[:3, 3] - true[:3, 3])
+        found = place.source_fix(stamps, (*three, fourth))  # type: ignore[arg-type]
+        if isinstance(found, np.ndarray):
+            source.append(found[:3, 3])
+    begun = np.array(watch.stamps) >= BEGIN
+    heads = [matrix(p) @ config.beacons.T_base_head for p in watch.estimate[begun]]
+    filtered = np.array([head[:3, 3] for head in heads])
+    series = {"source": np.array(source), "ours": np.array(ours), "filtered": filtered}
+    sigma = {name: 1e3 * np.std(places, axis=0) for name, places in series.items()}
+    bounds = [
+        1e3 * position_sigma(b)
+        for b in (pose_bound(T, true_setting(plant, surveyed=False)), triple_bound)
+    ]
+    gain = sigma["ours"] / sigma["source"]
+    whole = pose_bound(T, true_setting(plant))
+    return {
+        **_by_axis("sigma_{}_mm", sigma["source"]),
+        **_by_axis("sigma_{}_source_mm", SOURCE),
+        **_by_axis("sigma_ours_{}_mm", sigma["ours"]),
+        **_by_axis("sigma_ours_over_source_{}", gain),
+        **_by_axis("gain_over_bounds_{}", gain / (bounds[0] / bounds[1])),
+        **_by_axis("sigma_filtered_{}_mm", sigma["filtered"]),
+        **_by_axis("bound_{}_mm", bounds[0]),
+        **_by_axis("bound_triple_{}_mm", bounds[1]),
+        "rmse_over_bound": rms(np.linalg.norm(squares, axis=1)) / np.trace(whole[:3, :3]) ** 0.5,
+        "bias_mm": 1e3 * float(np.linalg.norm(np.mean(squares, axis=0))),
+        "measurements": float(len(ours)),
+        "source_solved": len(source) / len(readings),
+        **calibration_errors(sim),
+    }, series
+
+
+def _by_axis(name: str, values: Array) -> dict[str, float]:
+    return {name.format(a): float(v) for a, v in zip(AXES, values, strict=True)}
