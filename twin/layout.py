@@ -210,10 +210,10 @@ class Options(Strict):
     map: str | None = None  # folder of a `mapping` run to drive by; else by the drawing
     calibration: str | None = None  # its calibration.json: where the depth camera really hangs
     motion_model: Literal["omni", "turn_path_turn"] = "omni"  # of AMCL's particles
-    aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
     # How the photoelectric network corrects the pose: by all nodes, or by Liu et al.'s method.
     beacons: Literal["off", "all", "source"] = "off"
     beacon_calibration: str | None = None  # file of a `beacon_calibrate` run; else the drawing
+    aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
 
 
 class Layout(Strict):

@@ -95,9 +95,9 @@ class Stack:
         self.mapper: Mapper | None = None  # takes the localiser's place while mapping
         self.navigator = Navigator(config, drivable(config))
         self.drive = Drive(config.drive)  # straight legs, without looking
-        self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
         self.parker = Parker(config.drive)  # straight legs to a millimetre
         self.head: BeaconCalibrationRun | None = None  # while the network is calibrated
+        self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
         self.search = Search(config)
         self.detector = ContourDetector(config)
         self.tracker = Tracker(config)
