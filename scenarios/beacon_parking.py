@@ -9,13 +9,19 @@ true parking error, which is what the vehicle is for. The wheels close the loop 
 import numpy as np
 
 from evaluation.beacon_field import WEST, calibrated_field
-from evaluation.beacons import BeaconMonitor, calibration_errors, matrix, true_mount
+from evaluation.beacons import (
+    BeaconMonitor,
+    best_triple,
+    calibration_errors,
+    matrix,
+    true_mount,
+)
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.geometry import Array, wrap_angle
 from twin.layout import Layout
-from twin.messages import BeaconStamps, ParkOrder
-from twin.stack.estimation.beacon_receiver import locator, stamp_batch, widest_four
+from twin.messages import ParkOrder
+from twin.stack.estimation.beacon_receiver import locator, stamp_batch
 from twin.stack.estimation.beacons.fix import Fix
 
 MOVES = 30
@@ -104,14 +110,16 @@ def _estimate(watch: BeaconMonitor, time: float) -> Array:
 def _single(sim: Simulation, watch: BeaconMonitor, time: float) -> tuple[Array, Array]:
     """Place of the head by the last turn before a time: the source's method, and ours. (3,) each.
 
-    NaN where there is no fix.
+    The source's on the three nodes that are best there by their bound: near the cylinder through
+    three nodes it may be decimetres off. NaN where there is no fix.
     """
     place, nowhere = locator(sim.stack.config), np.full(3, np.nan)
-    reading: BeaconStamps = [r for r in watch.readings if r.stamp <= time][-1]
-    stamps = stamp_batch(reading)
-    four = widest_four(place.survey, list(reading.nodes))
-    assert four is not None
-    source, ours = place.source_fix(stamps, four), place.fix(stamps)
+    reading = [r for r in watch.readings if r.stamp <= time][-1]
+    batch = stamp_batch(reading)
+    three, _ = best_triple(sim.plant, watch.truth_at(time) @ true_mount(sim.plant))
+    fourth = next(name for name in place.survey.names if name not in three)
+    source = place.source_fix(batch, (*three, fourth))  # type: ignore[arg-type]
+    ours = place.fix(batch)
     return (
         source[:3, 3] if isinstance(source, np.ndarray) else nowhere,
         ours.T_world_head[:3, 3] if isinstance(ours, Fix) else nowhere,

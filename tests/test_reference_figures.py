@@ -18,7 +18,10 @@ pytestmark = pytest.mark.slow
 
 SEEDS = range(100, 110)
 ONE_ARM_SEEDS = range(100, 103)
-SCENARIOS = ("pick_line", "odometry", "mapping", "navigate", "warehouse_qr", "kidnap")
+SCENARIOS = (
+    *("pick_line", "odometry", "mapping", "navigate", "warehouse_qr", "kidnap"),
+    *("beacon_calibrate", "beacon_repeat", "beacon_parking", "beacon_moving", "beacon_faults"),
+)
 CODE = "import sys; from twin.cli import main; sys.exit(main())"
 
 

@@ -6,8 +6,8 @@ P3P problems are random: nodes in a box of 2 m, the head 0.5 to 6 m from its mid
 attitude, for OpenCV and PoseLib turned so that the nodes lie ahead. A case counts as degenerate,
 and is left out of the failures, if its nodes are a line or the head is on the danger cylinder. A
 failure is a case whose true pose is not among the solutions to 1e-6 m. PoseLib is compared where it
-is installed; it is no dependency. Criteria: 4 times cv2.solveP3P, faster than PoseLib, no failure,
-0.5 ms a fix, 5 times SciPy with a numeric Jacobian at equal cost.
+is installed: a development dependency. Criteria: 4 times cv2.solveP3P, faster than PoseLib, no
+failure, 0.5 ms a fix, 5 times SciPy with a numeric Jacobian at equal cost.
 """
 
 import argparse
