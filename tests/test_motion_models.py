@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from twin.geometry import between2, compose2, wrap_angle
 from twin.stack.estimation.motion_models import (
     MotionNoise,
+    mismatch,
     omnidirectional,
     split,
     spread,
@@ -87,6 +88,16 @@ def test_a_strafe_is_no_turn_for_the_omnidirectional_model():
     step, z = np.array([0.0, 0.5, 0.0]), rng.standard_normal((2000, 3))
     assert np.std(omnidirectional(np.zeros((2000, 3)), step, noise, z)[:, 2]) < 1e-12
     assert np.std(turn_path_turn(np.zeros((2000, 3)), step, noise, z)[:, 2]) > 0.3
+
+
+def test_mismatch_is_the_error_of_the_odometry():
+    # Eqs. 16-18: true path 1.0 m after 0.1 rad, reported 1.1 m after 0.3 rad.
+    def step(first, path, second):
+        return np.array([path * np.cos(first), path * np.sin(first), first + second])
+
+    np.testing.assert_allclose(
+        mismatch(step(0.3, 1.1, -0.2), step(0.1, 1.0, 0.05)), [0.2, 0.1, -0.25]
+    )
 
 
 @settings(deadline=None)  # the first call compiles

@@ -2,8 +2,7 @@
 
 A step is the pose (x, y, yaw) of the base after it in the axes of the base before it. Both models
 put zero-mean normal noise on the parts of a step; they differ in the parts. Poses are (n, 3) in
-world; nothing is drawn here, the standard normal numbers are passed in. Xu et al., Eqs. 16-18 tell
-how likely a given step is: a filter that samples has no use for that.
+world; nothing is drawn here, the standard normal numbers are passed in.
 """
 
 from dataclasses import dataclass
@@ -95,6 +94,16 @@ def turn_path_turn(poses: Array, step: Array, noise: MotionNoise, normals: Array
     """
     parts = split(step)
     return _move_turns(poses, normals, *parts, spread(parts, noise))
+
+
+def mismatch(step: Array, other: Array) -> Array:
+    """Difference of two steps in first turn, path and second turn (Xu et al., Eqs. 16-18).
+
+    With the reported step and the step between two assumed poses it is the error of the odometry
+    under that assumption. Shape (3,).
+    """
+    a, b = split(step), split(other)
+    return np.array([wrap_angle(a[0] - b[0]), a[1] - b[1], wrap_angle(a[2] - b[2])])
 
 
 @njit(cache=True)
