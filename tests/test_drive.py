@@ -1,5 +1,7 @@
 """Driving along way-points, against the wheel loops' drawn answer and on the plant."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from drive_bench import DriveBench
@@ -60,28 +62,17 @@ def test_route_to_the_line_is_driven_at_cruise_and_ends_in_place():
     assert abs(wrap_angle(rows[-1, 3] - SITE.pick[2])) < np.radians(0.3)
     assert rows[:, 4].max() == pytest.approx(0.95, abs=0.02)
     assert np.abs(rows[:, 5]).max() < LIMITS.strafe_speed * MARGIN
-    planned = Drive(LIMITS)
-    planned.start(0.0, np.array(SITE.dock), route)
-    assert rows[-1, 0] - planned.remaining_time(0.0) < 0.05 * len(route) + 0.3
+    poses, legs = [np.array(SITE.dock), *(np.array(p) for p in route)], []
+    for a, b in pairwise(poses):
+        legs.append(Leg(LIMITS, a, b, 0.0))
+    assert rows[-1, 0] - sum(leg.duration for leg in legs) < 0.05 * len(route) + 0.3
 
 
 def test_stop_time_predicts_the_arrival():
-    drive = Drive(LIMITS)
-    drive.start(0.0, np.zeros(3), [[2.0, 0.0, 0.0]])
-    predicted = drive.stop_time()
+    predicted = Leg(LIMITS, np.zeros(3), np.array([2.0, 0.0, 0.0]), 0.0).ends
     _, rows = follow([[2.0, 0.0, 0.0]], np.zeros(3))
     stopped = rows[np.nonzero(np.abs(rows[:, 4]) > 0.02)[0][-1], 0]
     assert stopped == pytest.approx(predicted, abs=0.15)
-
-
-def test_remaining_time_and_distance_fall_to_nothing():
-    drive = Drive(LIMITS)
-    assert drive.remaining_time(0.0) == 0.0
-    drive.start(0.0, np.zeros(3), [[1.0, 0, 0], [1.0, 1.0, 0]])
-    assert drive.remaining_distance(np.zeros(3)) == pytest.approx(2.0)
-    assert drive.remaining_time(0.0) > drive.stop_time()
-    drive, _ = follow([[1.0, 0, 0], [1.0, 1.0, 0]], np.zeros(3))
-    assert drive.remaining_time(100.0) == 0.0 and drive.remaining_distance(np.zeros(3)) == 0.0
 
 
 poses = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3.1, 3.1))

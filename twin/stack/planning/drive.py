@@ -72,10 +72,6 @@ class Leg:
         """Time at which the reference stands at the goal, s."""
         return self.began + self.duration
 
-    @property
-    def length(self) -> float:
-        return float(np.hypot(*self.change[:2]))
-
     def at(self, now: float) -> tuple[Array, Array, Array]:
         """Reference pose, and its velocity and acceleration in world axes. Shapes (3,)."""
         s, ds, dds = self._trajectory.at_time(min(max(now - self.began, 0.0), self.duration))
@@ -112,24 +108,6 @@ class Drive:
     @property
     def last_leg(self) -> bool:
         return self._index == len(self._legs) - 1
-
-    def stop_time(self) -> float:
-        """Time at which the current leg's reference comes to rest, s."""
-        return self._legs[self._index].ends
-
-    def remaining_time(self, now: float) -> float:
-        """Seconds until the whole route's reference has come to rest, settling left out."""
-        if self.done:
-            return 0.0
-        later = sum(leg.duration for leg in self._legs[self._index + 1 :])
-        return max(self.stop_time() - now, 0.0) + later
-
-    def remaining_distance(self, pose: Array) -> float:
-        """Metres of path left from the fused pose to the goal."""
-        if self.done:
-            return 0.0
-        here = float(np.hypot(*(self._legs[self._index].goal - pose)[:2]))
-        return here + sum(leg.length for leg in self._legs[self._index + 1 :])
 
     def step(self, now: float, pose: Array, velocity: Array) -> BodyVelocity:
         """Command of this tick.
