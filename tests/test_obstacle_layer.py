@@ -234,3 +234,20 @@ def test_what_leaves_the_view_is_expected_to_go_on_as_it_went():
             track = moving.objects[0]
             assert track.moves and track.mean[1] == pytest.approx(centre[1], abs=0.2)
             assert track.mean[3] == pytest.approx(-0.5, abs=0.1)
+
+
+def looked(made, x, y):
+    i, j = made.lidar.cells(np.array([x, y]))
+    return bool(made.looked[i, j])
+
+
+def test_the_layer_knows_where_the_camera_has_looked():
+    made = layer()
+    assert not made.looked.any()
+    see(made, [], 0.0)
+    assert looked(made, 2.0, 0.0) and looked(made, 0.0, 0.0)  # ahead, and where it stands
+    assert not looked(made, 0.0, 0.8) and not looked(made, -0.8, 0.0)
+    see(made, [], 0.1, np.array([-1.5, 0.0, np.pi / 2]))
+    assert looked(made, -1.5, 2.0) and looked(made, 2.0, 0.0)
+    made.forget(np.array([-1.5, 0.0, 0.0]), keep=1.0)
+    assert not looked(made, 2.0, 0.0) and looked(made, -1.5, 0.0)

@@ -8,8 +8,16 @@ from hypothesis import strategies as st
 from twin.geometry import compose2, rectangle, rot2
 from twin.stack.config import DriveLimits
 from twin.stack.estimation.odometry import exp2
-from twin.stack.planning.clearance import Footprint, clearance, points, room, segments
+from twin.stack.planning.clearance import (
+    Footprint,
+    clearance,
+    no_obstacles,
+    points,
+    room,
+    segments,
+)
 from twin.stack.planning.teb import Teb, TebOptions
+from twin.stack.planning.teb_seeds import headings
 from twin.stack.planning.teb_solver import (
     BAND,
     Weights,
@@ -305,3 +313,15 @@ def test_rectangle_and_clearance_agree_on_who_touches():
     for corner in corners:
         out = corner + 0.05 * (corner - [1.0, 2.0]) / np.hypot(*(corner - [1.0, 2.0]))
         assert clearance(1.0, 2.0, 0.7, BODY.half, *out, *out)[0] == pytest.approx(0.05, abs=1e-9)
+
+
+def test_headings_look_into_a_bend_before_it_is_reached():
+    """Expected result: 0.6 m before a gentle bend it looks well into the way behind it."""
+    bend = 0.5
+    leg = np.arange(0.0, 3.01, 0.05)
+    after = 3.0 + leg[1:] * np.cos(bend), leg[1:] * np.sin(bend)
+    path = np.vstack([np.column_stack([leg, 0 * leg]), np.column_stack(after)])
+    yaw, _ = headings(path, 0.0, bend, LIMITS, BODY.half, no_obstacles())
+    before = int(np.argmin(np.abs(path[:, 0] - 2.4)))
+    assert 0.3 * bend < yaw[before] < bend
+    assert yaw[0] == pytest.approx(0.0) and yaw[-1] == pytest.approx(bend)

@@ -51,7 +51,7 @@ MODES = (
     (0.0, 2.4, 0.0),
     (math.pi, 0.0, 0.0),
 )
-SHORT_SIGHTED = 1.0  # s that a heading costs which looks no farther than it goes; 0.5 in part
+SHORT_SIGHTED = 1.0  # s that a heading costs which looks no farther than it goes: worth a bend
 PASSES = 50
 FEWEST = 21  # points of a reference: turning on the spot has a profile too
 LEAN = 0.9  # of the limits that a first band uses
