@@ -12,7 +12,7 @@ from twin.training.dataset import make_set
 from twin.training.domain import HELD_OUT, TRAINING
 
 DATA = Path("runs/detector")  # training/ and held-out/ are made in here, and the rest
-HELD_OUT_PICTURES, HELD_OUT_SEED = 1200, 1
+HELD_OUT_PICTURES, HELD_OUT_SEED = 1000, 1
 Progress = Callable[[float, float, str], None]
 
 

@@ -19,6 +19,7 @@ from twin.training.network import Detector, Exportable, multiplications, paramet
 
 OPSET = 18
 FILE = "detector.onnx"
+VALIDATED = 400  # pictures of the validation part on which the threshold is fixed
 THRESHOLDS = tuple(round(0.15 + 0.05 * k, 2) for k in range(16))  # tried on the validation part
 
 
@@ -63,12 +64,12 @@ def export(network: Detector, folder: Path, about: dict) -> None:
 
 
 def fix_threshold(folder: Path, data: Path, config: StackConfig) -> None:
-    """Write the threshold into the card at which the worst class does best on the validation part.
+    """Write the threshold at which the worst class does best on the validation part into the card.
 
     The held-out set has no say in it.
     """
     pictures = PictureSet(data, "v")
-    judged = judge_pictures(pictures, config, Network(folder))
+    judged = judge_pictures(pictures, config, Network(folder), VALIDATED)
     at = {t: count(judged, t) for t in THRESHOLDS}
     best = max(THRESHOLDS, key=lambda t: at[t].accuracy_min + at[t].precision_min)
     card = json.loads((folder / CARD).read_text(encoding="utf-8"))
