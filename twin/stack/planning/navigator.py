@@ -44,6 +44,7 @@ class NavigatorOptions:
     reaction: float = 0.25  # s added to the stopping time: sensors' latency and period
     estimate: float = 0.15  # s by which the speed of what turns about is known late
     caution: float = 0.5  # s more for what moves: it sees a vehicle that stands
+    wait: float = 1.0  # s that it stands for what moves: who creeps on is not seen to stand
     patience: float = 2.0  # s without a plan until recovery
     patience_moving: float = 6.0  # s likewise while something moves near by
     tolerance: float = 0.008  # m of the estimate at a reached goal
@@ -164,7 +165,7 @@ class Navigator:
         if self._brake and self.follower.stopped and self.follower.rate == 0.0:
             self.follower.stop()
             self.teb.reset()
-            self._brake, self._due = False, now
+            self._brake, self._due = False, max(now, self._wait_until)
         if self.follower.trajectory is not None and self.follower.remaining == 0.0:
             self._at_end(now, pose, velocity)
             if not self.active:
@@ -192,7 +193,10 @@ class Navigator:
         # What moves may turn about: stop while it still stops too.
         threats = self.surroundings.threats(now, whole + o.estimate, here)
         threat = trajectory.touch(phase, self.footprint, threats, need)
-        self._brake = touch < stop or meet < stop + o.caution or threat < stop
+        moving = meet < stop + o.caution or threat < stop
+        if moving:
+            self._wait_until = now + o.wait
+        self._brake = touch < stop or moving
         if min(touch, meet) == math.inf:
             return
         self._due, self._in_the_way = now, True
@@ -364,7 +368,7 @@ class Navigator:
         self._fresh, self._tries = False, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None
-        self._giving_up = ""
+        self._giving_up, self._wait_until = "", -math.inf
         self._progress = (-math.inf, math.inf)  # since when the way left is no shorter, m
         self.recovery = Recovery()
         self.teb.reset()
