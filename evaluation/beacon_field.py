@@ -5,14 +5,18 @@ calibration drive first, unless the layout's options name the file of an earlier
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from evaluation.run import RunRequest
 from evaluation.simulation import Simulation
-from twin.layout import Layout
+from twin.layout import Layout, LayoutError
 from twin.messages import BeaconOrder
-from twin.stack.estimation.beacon_calibration import save_beacon_calibration
+from twin.stack.estimation.beacon_calibration import (
+    load_beacon_calibration,
+    save_beacon_calibration,
+)
 
 DOCK = (2.5, 2.6, float(np.pi))  # x, y, yaw: the truss is 3.1 m ahead of the head
 FILE = "beacon_calibration.json"
@@ -56,10 +60,15 @@ def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:
     Without a file in the options the drive is made first, and its file left in the run's folder.
 
     Raises:
+        LayoutError: the file that the options name cannot be read.
         ValueError: one line, if the drive did not determine the calibration.
     """
     layout = in_the_field(layout)
     if layout.options.beacon_calibration is not None:
+        try:
+            load_beacon_calibration(Path(layout.options.beacon_calibration))
+        except ValueError as error:
+            raise LayoutError(f"options: {error}") from None
         return layout
 
     def progress(time: float, total: float, text: str) -> None:

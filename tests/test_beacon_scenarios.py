@@ -51,7 +51,7 @@ def test_a_calibration_that_cannot_be_read_ends_in_one_line(content, tmp_path, c
     path = tmp_path / "head.json"
     if content is not None:
         path.write_bytes(content + b"x")
-    run = ["run", "beacon_repeat", "--out", str(tmp_path / "out")]
+    run = ["run", "beacon_faults", "--out", str(tmp_path / "out")]
     assert main([*run, "--set", f"options.beacon_calibration={path}"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "head.json" in said
