@@ -34,7 +34,6 @@ def test_report_of_a_few_pictures(few, capsys):
         (["--steps", "0"], "--steps 0: must be 1 or greater"),
         (["--ablation-steps", "-1"], "--ablation-steps -1"),
         (["--pictures", "many"], "see twin train-detector --help"),
-        (["--speed", "3"], "choose from --out"),
     ],
 )
 def test_bad_input_of_the_training(words, said, capsys):
