@@ -1,5 +1,6 @@
 """`twin train-detector`: pictures, training, ablation, export; each resumes where it was left."""
 
+import importlib.util
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -56,17 +57,10 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
     Raises:
         TrainingError: PyTorch is missing, or the weights are another network's.
     """
-    try:
-        import torch  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("torch") is None:
         raise TrainingError(
             "train-detector: PyTorch is missing; pip install 'twin[train]' brings it (5 GB)"
-        ) from None
-    from twin.training.ablation import ablate
-    from twin.training.export import export, fix_threshold
-    from twin.training.network import Design
-    from twin.training.train import Plan, save_weights, train
-
+        )
     config = nominal_config(layout.site, layout.options)
     data, network = request.folder / "training", request.folder / "network"
     make_set(
@@ -77,6 +71,13 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
         request.pictures,
         lambda k, n: request.progress(k, n, "pictures"),
     )
+    judged_on = held_out(request.folder, layout, request.progress).digest()
+    # Only now: Mesa's renderer crashes in a process that has loaded PyTorch before it.
+    from twin.training.ablation import ablate
+    from twin.training.export import export, fix_threshold
+    from twin.training.network import Design
+    from twin.training.train import Plan, save_weights, train
+
     plan = Plan(request.steps, seed=request.seed)
     try:
         trained = train(
@@ -90,7 +91,7 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
         "batch": plan.batch,
         "pictures": len(PictureSet(data, "t")),
         "pictures_sha256": PictureSet(data).digest(),
-        "held_out_sha256": held_out(request.folder, layout, request.progress).digest(),
+        "held_out_sha256": judged_on,
     }
     if request.ablation_steps:
         short = Plan(request.ablation_steps, seed=request.seed)
