@@ -3,7 +3,9 @@
 import importlib.util
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from evaluation.pictures import PictureSet
@@ -63,16 +65,11 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
         )
     config = nominal_config(layout.site, layout.options)
     data, network = request.folder / "training", request.folder / "network"
-    make_set(
-        data,
-        layout,
-        TRAINING,
-        request.seed,
-        request.pictures,
-        lambda k, n: request.progress(k, n, "pictures"),
-    )
-    judged_on = held_out(request.folder, layout, request.progress).digest()
-    # Only now: Mesa's renderer crashes in a process that has loaded PyTorch before it.
+    request.progress(0, 1, "pictures")
+    apart(make_set, data, layout, TRAINING, request.seed, request.pictures)
+    place = request.folder / "held-out"
+    apart(make_set, place, layout, HELD_OUT, HELD_OUT_SEED, HELD_OUT_PICTURES)
+    judged_on = PictureSet(place).digest()
     from twin.training.ablation import ablate
     from twin.training.export import export, fix_threshold
     from twin.training.network import Design
@@ -103,3 +100,9 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
     save_weights(trained, network / "weights.npz")
     shutil.copy(request.folder / "run" / "log.jsonl", network / "log.jsonl")
     return network
+
+
+def apart(work: Callable[..., None], *arguments) -> None:
+    """Do something in a process of its own: Mesa's LLVM and PyTorch's crash when they share one."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        pool.submit(work, *arguments).result()
