@@ -1,6 +1,8 @@
 """Loss and assignment by hand, and a short training that lowers the loss; `make test-train`."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,8 +14,6 @@ from twin.layout import load_layout  # noqa: E402
 from twin.stack.config import nominal_config  # noqa: E402
 from twin.stack.detection.boxes import read_maps  # noqa: E402
 from twin.training import loss as losses  # noqa: E402
-from twin.training.dataset import make_set  # noqa: E402
-from twin.training.domain import TRAINING  # noqa: E402
 from twin.training.loss import Target, assign, ciou, decode, encode, loss  # noqa: E402
 from twin.training.network import Design, Detector, parameters  # noqa: E402
 from twin.training.train import Plan, load_weights, save_weights, train  # noqa: E402
@@ -127,7 +127,13 @@ def test_sizes(design):
 
 
 def test_a_short_training_lowers_the_loss_and_resumes(tmp_path, monkeypatch):
-    make_set(tmp_path / "set", layout, TRAINING, 0, 20)
+    # In a process of its own: Mesa's renderer crashes where PyTorch was loaded before it.
+    code = (
+        "import sys; from pathlib import Path; from twin.layout import load_layout\n"
+        "from twin.training.dataset import make_set; from twin.training.domain import TRAINING\n"
+        "make_set(Path(sys.argv[1]), load_layout(), TRAINING, 0, 20)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "set")], check=True)
     from twin.training import train as module
 
     monkeypatch.setattr(module, "SAVE_EVERY", 20)

@@ -1,8 +1,11 @@
 """`twin train-detector`: pictures, training, ablation, export; each resumes where it was left."""
 
+import importlib.util
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from evaluation.pictures import PictureSet
@@ -56,27 +59,22 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
     Raises:
         TrainingError: PyTorch is missing, or the weights are another network's.
     """
-    try:
-        import torch  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("torch") is None:
         raise TrainingError(
             "train-detector: PyTorch is missing; pip install 'twin[train]' brings it (5 GB)"
-        ) from None
+        )
+    config = nominal_config(layout.site, layout.options)
+    data, network = request.folder / "training", request.folder / "network"
+    request.progress(0, 1, "pictures")
+    apart(make_set, data, layout, TRAINING, request.seed, request.pictures)
+    place = request.folder / "held-out"
+    apart(make_set, place, layout, HELD_OUT, HELD_OUT_SEED, HELD_OUT_PICTURES)
+    judged_on = PictureSet(place).digest()
     from twin.training.ablation import ablate
     from twin.training.export import export, fix_threshold
     from twin.training.network import Design
     from twin.training.train import Plan, save_weights, train
 
-    config = nominal_config(layout.site, layout.options)
-    data, network = request.folder / "training", request.folder / "network"
-    make_set(
-        data,
-        layout,
-        TRAINING,
-        request.seed,
-        request.pictures,
-        lambda k, n: request.progress(k, n, "pictures"),
-    )
     plan = Plan(request.steps, seed=request.seed)
     try:
         trained = train(
@@ -90,7 +88,7 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
         "batch": plan.batch,
         "pictures": len(PictureSet(data, "t")),
         "pictures_sha256": PictureSet(data).digest(),
-        "held_out_sha256": held_out(request.folder, layout, request.progress).digest(),
+        "held_out_sha256": judged_on,
     }
     if request.ablation_steps:
         short = Plan(request.ablation_steps, seed=request.seed)
@@ -102,3 +100,9 @@ def train_detector(request: TrainRequest, layout: Layout) -> Path:
     save_weights(trained, network / "weights.npz")
     shutil.copy(request.folder / "run" / "log.jsonl", network / "log.jsonl")
     return network
+
+
+def apart(work: Callable[..., None], *arguments) -> None:
+    """Do something in a process of its own: Mesa's LLVM and PyTorch's crash when they share one."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        pool.submit(work, *arguments).result()
