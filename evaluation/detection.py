@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 from twin.messages import PART_CLASSES
@@ -27,7 +28,7 @@ class Judged:
     ignored: Array  # (j, 4) neither wanted nor wrong
     box: Array  # (n, 4) reported
     score: Array  # (n,)
-    box_class: Array  # (n,)
+    box_class: NDArray[np.integer]  # (n,)
     tags: frozenset[str] = frozenset()  # conditions
 
 

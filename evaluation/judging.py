@@ -1,6 +1,7 @@
 """Runs a network over labelled pictures, as the stack would look at them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from twin.stack.config import StackConfig
 from twin.stack.detection.boxes import read_maps
 from twin.stack.detection.roi import WIDTH
 
-Maps = Callable[[NDArray[np.uint8]], list[Array]]
+Maps = Callable[[NDArray[np.uint8]], Sequence[NDArray[Any]]]
 FAINT = 0.02  # score from which boxes are kept, for the whole curve of precision over recall
 SEEN = 0.7  # share of a part that must be seen for it to be wanted
 INSIDE = 4.0  # px within the window's edge, where a part is surely wanted
@@ -69,7 +70,7 @@ def tags_of(shot: Shot) -> frozenset[str]:
     )
 
 
-def _depth(boxes: Array, polygon: Array) -> Array:
+def _depth(boxes: Array, polygon: NDArray[Any]) -> Array:
     """How far each box's centre lies within a polygon, px; negative outside. Shape (k,)."""
     centres = (boxes[:, :2] + boxes[:, 2:]) / 2
     depths = [cv2.pointPolygonTest(polygon, (float(u), float(v)), True) for u, v in centres]

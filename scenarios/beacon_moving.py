@@ -10,13 +10,13 @@ import numpy as np
 
 from evaluation.beacon_field import WEST, calibrated_field
 from evaluation.beacons import BeaconMonitor, calibration_errors, matrix, rms
+from evaluation.belief import belief
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.geometry import Array, wrap_angle
 from twin.layout import Layout
 from twin.loop import Tick
 from twin.messages import CourseOrder
-from twin.stack.config import nominal_config
 
 SPEED = 0.5  # m/s
 FULL = 0.9 * SPEED  # m/s from which the vehicle counts as driving at speed
@@ -47,7 +47,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
     if field is None:
         return RunResult(notes=["the calibration drive was broken off"])
     watch = BeaconMonitor()
-    config = nominal_config(field.site, field.options)
+    config = belief(field)
     config = replace(config, drive=replace(config.drive, speed=SPEED, strafe_speed=SPEED))
     with Simulation(request, field, CourseOrder(0.0, ROUTE), (watch,), config) as sim:
 

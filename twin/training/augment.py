@@ -25,9 +25,9 @@ class Sample:
     """One crop. Boxes are left, top, right, bottom in px."""
 
     image: NDArray[np.uint8]  # (128, 128, 3)
-    boxes: Array  # (k, 4)
-    classes: Array  # (k,)
-    ignored: Array  # (j, 4)
+    boxes: NDArray[np.float32]  # (k, 4)
+    classes: NDArray[np.int64]  # (k,)
+    ignored: NDArray[np.float32]  # (j, 4)
 
 
 class Augmenter:

@@ -1,9 +1,10 @@
 """What a belt's face looks like: factors on its colour, in its own coordinates."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 
@@ -33,8 +34,10 @@ def texture(kind: Texture, rng: np.random.Generator) -> Array:
         for _ in range(int(rng.integers(10, 60))):
             start = rng.uniform((0, 0), (SHAPE[1], SHAPE[0]))
             end = start + rng.normal(0, (60, 6))
-            points = [tuple(map(int, p)) for p in (start, end)]
-            cv2.line(pattern, *points, float(rng.choice([-1.5, 1.5])), int(rng.integers(1, 3)))
+            (u0, v0), (u1, v1) = start.astype(int).tolist(), end.astype(int).tolist()
+            cv2.line(
+                pattern, (u0, v0), (u1, v1), float(rng.choice([-1.5, 1.5])), int(rng.integers(1, 3))
+            )
     elif kind == "diamonds":
         pattern = np.sign(np.sin(w * (u + v)) * np.sin(w * (u - v)))
     elif kind == "blotches":
@@ -42,16 +45,16 @@ def texture(kind: Texture, rng: np.random.Generator) -> Array:
     else:
         pattern = np.sign(np.sin(w * (u + np.abs(v % (4 * period) - 2 * period))))
     factor = 1.0 + strength * pattern + 0.03 * _noise(rng, 60.0)
-    return np.clip(factor, 0.3, 1.9).astype(np.float32)
+    return np.asarray(np.clip(factor, 0.3, 1.9), np.float32)
 
 
-def stains(rng: np.random.Generator, share: float) -> Array:
+def stains(rng: np.random.Generator, share: float) -> NDArray[Any]:
     """Where oil lies, 0 to 1, over about a share of an area. Shape (256, 1024), float32."""
     level = np.quantile(field := _noise(rng, rng.uniform(8.0, 25.0)), 1.0 - share)
     return np.clip((field - level) * 6.0, 0.0, 1.0)
 
 
-def _noise(rng: np.random.Generator, size: float) -> Array:
+def _noise(rng: np.random.Generator, size: float) -> NDArray[Any]:
     """Gaussian noise of unit variance whose grains are about `size` texels. Shape as SHAPE."""
     shrink = max(1, int(size / 2))
     small = rng.standard_normal((SHAPE[0] // shrink + 2, SHAPE[1] // shrink + 2)).astype(np.float32)

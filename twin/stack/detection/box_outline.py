@@ -31,7 +31,7 @@ class Seen:
 
     evidence: Array  # (h, w) from -1 for the belt to 1 for the part, at twice the resolution
     corner: tuple[int, int]  # pixel (u, v) of the picture at its origin
-    contour: Array  # (k, 2) u, v in the picture
+    contour: NDArray[np.floating]  # (k, 2) u, v in the picture
 
 
 def look_into(image: NDArray[np.uint8], box: Array) -> Seen | None:

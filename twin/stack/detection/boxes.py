@@ -1,6 +1,8 @@
 """From the network's raw maps to boxes: decoding and suppression of doubles."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,7 @@ class Boxes:
         return Boxes(self.box[chosen], self.score[chosen], self.chances[chosen])
 
 
-def read_maps(maps: list[Array], width: int, threshold: float) -> Boxes:
+def read_maps(maps: Sequence[NDArray[Any]], width: int, threshold: float) -> Boxes:
     """All parts surer than a threshold, each once.
 
     Args:
