@@ -25,6 +25,7 @@ from twin.site import Pose2
 from twin.stack.estimation.beacon_receiver import locator, stamp_batch
 from twin.stack.estimation.beacons.bound import pose_bound, position_sigma
 from twin.stack.estimation.beacons.fix import Fix, Locator
+from twin.stack.estimation.beacons.stamps import NoFix, StampBatch
 from twin.stack.tasks.arm_worker import ArmWorker
 
 TRIALS, PLACES = 10_000, 20
@@ -134,11 +135,14 @@ class Bench:
     def trial(self, place: Locator) -> Trial:
         """The next turn of the head, and what the estimator makes of it."""
         bad = self._bad()  # the lot may be drawn in the middle of the turn
-        fix = place.fix(stamp_batch(self._turn()))
+        batch = stamp_batch(self._turn())
+        fix = place.fix(batch)
         if not isinstance(fix, Fix):
             return Trial(None, fix.reason)
         bad |= self._bad()
-        good = tuple(name for name in self._sensor.names if name not in bad)
+        # The bound of this turn: a node whose clock missed its light has told nothing.
+        timed = _timed(place, batch)
+        good = tuple(name for name in self._sensor.names if name in timed and name not in bad)
         if good not in self._sigmas:
             bound = pose_bound(self._T, true_setting(self._plant, good))
             self._sigmas[good] = position_sigma(bound)
@@ -155,6 +159,15 @@ class Bench:
             reading = self._sensor.sample(self._here, world.model, world.data)
             if reading is not None:
                 return reading
+
+
+def _timed(place: Locator, batch: StampBatch) -> set[str]:
+    """Nodes of which both planes' crossings could be timed in a turn."""
+    measured = place.crossings(batch)
+    if isinstance(measured, NoFix):
+        return set()
+    node, plane = measured[0].node, measured[0].plane
+    return {name for n, name in enumerate(batch.nodes) if len(set(plane[node == n].tolist())) == 2}
 
 
 def metrics(trials: list[Trial]) -> dict[str, float]:
