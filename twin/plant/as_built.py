@@ -74,11 +74,11 @@ class AsBuilt:
             ),
             tag_camera_mount=mount(TAG_CAMERA_POSITION, TAG_CAMERA_ANGLE),
             floor_seed=int(rng.integers(1 << 32)),
+            beacon_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
+            beacon_planes=rng.normal(0, k * BEACON_PLANES, 3),
             rgbd_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
             rgbd_centre=rng.normal(0, k * CAMERA_CENTRE * RGBD_WIDTH, 2),
             tag_camera_focal=float(1 + rng.normal(0, k * CAMERA_FOCAL)),
             tag_camera_centre=rng.normal(0, k * CAMERA_CENTRE * TAG_CAMERA_WIDTH, 2),
-            beacon_mount=mount(MOUNT_POSITION, MOUNT_ANGLE),
-            beacon_planes=rng.normal(0, k * BEACON_PLANES, 3),
             camera_centre=rng.normal(0, k * CAMERA_CENTRE * CAMERA_WIDTH, 2),
         )
