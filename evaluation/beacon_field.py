@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from evaluation.run import RunRequest
 from evaluation.simulation import Simulation
@@ -42,8 +43,14 @@ LONGEST = 240.0  # s of simulated time after which a calibration drive is given 
 
 
 def in_the_field(layout: Layout) -> Layout:
-    """The layout with head and truss fitted, and the dock before the truss; no cameras."""
+    """The layout with head and truss fitted, and the dock before the truss; no cameras.
+
+    Raises:
+        LayoutError: one line, for a layout without a network or whose field is not free.
+    """
     world, site, options = layout.world, layout.site, layout.options
+    if site.beacons is None:
+        raise LayoutError("site.beacons: there is no photoelectric network in this layout")
     beacons = world.beacons.model_copy(update={"fitted": True})
     sensors = world.sensors.model_copy(update={"cameras": False})
     world = world.model_copy(update={"beacons": beacons, "sensors": sensors})
@@ -51,7 +58,11 @@ def in_the_field(layout: Layout) -> Layout:
     method = "all" if options.beacons == "off" else options.beacons
     options = options.model_copy(update={"beacons": method, "tags": False})
     tree = {"site": site, "world": world, "options": options}
-    return Layout.model_validate({key: value.model_dump() for key, value in tree.items()})
+    try:
+        return Layout.model_validate({key: value.model_dump() for key, value in tree.items()})
+    except ValidationError as error:
+        why = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise LayoutError(f"the field before the truss, dock at {DOCK[:2]}: {why}") from None
 
 
 def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:

@@ -33,7 +33,11 @@ DWELL = 7.0  # s at each stop
 LONGEST = 400.0  # s of simulated time after which the run is given up
 NAMES = ("phi_1", "phi_2", "phi_r")
 
-CRITERIA = [Criterion("angles_over_bound", "<=", 1.2), Criterion("collisions", "==", 0.0)]
+CRITERIA = [
+    Criterion("angles_over_bound", "<=", 1.2),
+    Criterion("calibrations", "==", float(CALIBRATIONS)),
+    Criterion("collisions", "==", 0.0),
+]
 
 
 def run(request: RunRequest, layout: Layout) -> RunResult:

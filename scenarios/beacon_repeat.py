@@ -88,7 +88,7 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         found = place.source_fix(batch, (*three, fourth))  # type: ignore[arg-type]
         if isinstance(found, np.ndarray):
             source.append(found[:3, 3])
-    gain = np.std(ours, axis=0) / np.std(source, axis=0)
+    gain = _spread(ours) / _spread(source)
     end = readings[min(MEASUREMENTS, len(readings)) - 1].stamp
     stamps = np.array(watch.stamps)
     heads = [
@@ -96,16 +96,16 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         for pose in watch.estimate[(stamps >= BEGIN) & (stamps <= end)]
     ]
     series = {
-        "source": np.array(source[:MEASUREMENTS]),
-        "ours": np.array(ours[:MEASUREMENTS]),
+        "source": np.array(source[:MEASUREMENTS]).reshape(-1, 3),
+        "ours": np.array(ours[:MEASUREMENTS]).reshape(-1, 3),
         "filtered": np.array([head[:3, 3] for head in heads]),
     }
-    sigma = {name: 1e3 * np.std(places, axis=0) for name, places in series.items()}
+    sigma = {name: 1e3 * _spread(places) for name, places in series.items()}
     bounds = [
         1e3 * position_sigma(b)
         for b in (pose_bound(T, true_setting(plant, surveyed=False)), triple_bound)
     ]
-    whole = pose_bound(T, true_setting(plant))
+    whole, off = pose_bound(T, true_setting(plant)), np.array(squares).reshape(-1, 3)
     return {
         **_by_axis("sigma_{}_mm", sigma["source"]),
         **_by_axis("sigma_{}_source_mm", SOURCE),
@@ -115,12 +115,17 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         **_by_axis("sigma_filtered_{}_mm", sigma["filtered"]),
         **_by_axis("bound_{}_mm", bounds[0]),
         **_by_axis("bound_triple_{}_mm", bounds[1]),
-        "rmse_over_bound": rms(np.linalg.norm(squares, axis=1)) / np.trace(whole[:3, :3]) ** 0.5,
-        "bias_mm": 1e3 * float(np.linalg.norm(np.mean(squares, axis=0))),
+        "rmse_over_bound": rms(np.linalg.norm(off, axis=1)) / np.trace(whole[:3, :3]) ** 0.5,
+        "bias_mm": 1e3 * float(np.linalg.norm(off.mean(axis=0))) if len(off) else np.nan,
         "measurements": float(len(ours)),
         "source_solved": len(source) / len(readings),
         **calibration_errors(sim),
     }, series
+
+
+def _spread(places) -> Array:
+    """Standard deviation of measured places (n, 3) along each axis; NaN of fewer than two."""
+    return np.std(places, axis=0) if len(places) > 1 else np.full(3, np.nan)
 
 
 def _by_axis(name: str, values: Array) -> dict[str, float]:

@@ -249,6 +249,9 @@ def test_a_calibration_survives_its_file(tmp_path):
         ({"planes": [1, 2]}, "planes"),
         ({"planes": [1, 2, float("nan")]}, "planes"),
         ({"wheels": 4}, "wheels"),
+        ({"planes": [0.0, 0.0, 0.0]}, "planes"),
+        ({"mount_quat_wxyz": [0.0, 0.0, 0.0, 0.0]}, "mount_quat_wxyz"),
+        ({"stops": 0}, "stops"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_told_in_one_line(change, said, tmp_path):

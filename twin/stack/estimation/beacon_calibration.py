@@ -6,18 +6,19 @@ dead reckoning in between give the head's mount on the vehicle.
 """
 
 import json
+import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from twin.geometry import Array, between2, quat_wxyz, rotation_from_quat, transform
 from twin.messages import BeaconStamps
 from twin.site import Strict
-from twin.stack.config import StackConfig
+from twin.stack.config import BeaconHead, StackConfig
 from twin.stack.estimation.beacon_receiver import locator, stamp_batch
 from twin.stack.estimation.beacons.angles import Crossings
 from twin.stack.estimation.beacons.calibration import Calibration, average, calibrate
@@ -30,6 +31,9 @@ from twin.stack.estimation.map_correction import growth
 # other than drawn, by path (per m) and by turn (per rad). m, m, rad; guess.
 WAY, WAY_TURN = np.array([0.002, 0.002, 0.0005]), np.array([0.0005, 0.0005, 0.0005])
 WAY_FLOOR = np.array([2e-4, 2e-4, 1e-4])  # m, m, rad
+
+FAR = 0.1  # rad from the drawn planes, thirty sigmas of how they are built: another head
+DRAWN = BeaconHead().planes.as_array().tolist()
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
@@ -44,8 +48,16 @@ class BeaconCalibration(Strict):
     mount_position: Three  # of the head in base
     mount_quat_wxyz: tuple[Number, Number, Number, Number]
     mount_sigma: tuple[Number, Number, Number, Number, Number, Number]  # shift, turn in head
-    stops: int
-    turns: int  # of the head, over all stops
+    stops: Annotated[int, Field(gt=0)]
+    turns: Annotated[int, Field(gt=0)]  # of the head, over all stops
+
+    @model_validator(mode="after")
+    def _can_be_a_head(self):
+        if abs(math.hypot(*self.mount_quat_wxyz) - 1.0) > 1e-3:
+            raise ValueError("mount_quat_wxyz: not of unit length")
+        if any(abs(p - q) > FAR for p, q in zip(self.planes, DRAWN, strict=True)):
+            raise ValueError(f"planes: more than {FAR} rad from those of the drawing")
+        return self
 
     def applied(self, config: StackConfig) -> StackConfig:
         """The belief with the head as it was found."""
