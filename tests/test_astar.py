@@ -150,6 +150,9 @@ def test_a_way_out_of_a_tight_start_is_not_blocked():
     path = astar.plan(costmap, (0.15, 2.0), (3.0, 2.0))
     assert not astar.blocked(costmap, path.xy)
     assert astar.blocked(costmap, path.xy[::-1])  # but not a way in
+    assert not astar.blocked(costmap, path.xy[::-1], approach=0.3)
+    back = astar.plan(costmap, (3.0, 2.0), (0.15, 2.0), approach=0.3)
+    np.testing.assert_allclose(back.xy[-1], (0.15, 2.0))
 
 
 @settings(max_examples=30, deadline=None)

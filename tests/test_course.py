@@ -102,7 +102,8 @@ def test_patches_lie_on_the_course_and_off_the_clear_aisle_and_its_turns(seed):
 @pytest.mark.parametrize("east, south", [(15.2, -1.5), (13.0, -1.5), (15.2, -1.4)])
 def test_the_course_follows_the_walls(east, south):
     hall = (f"site.hall.x=[-1.0, {east}]", f"site.hall.y=[{south}, 8.0]")
-    layout = load_layout(None, (*hall, "site.racks=[]", "site.tags=[]", "site.hall.partitions=[]"))
+    empty = ("racks", "tags", "places", "hall.partitions")
+    layout = load_layout(None, (*hall, *(f"site.{name}=[]" for name in empty)))
     course = odometry.drawn_course(layout.site)
     assert course.aisle.x == (5.65, pytest.approx(east - 0.65))
     assert course.aisle.y == pytest.approx(south + 0.85)

@@ -13,7 +13,7 @@ GENERAL = ("rtf", "collisions")  # told above the sections
 
 def sections(name: str) -> dict[str, str]:
     """Text below each heading of a page."""
-    parts = re.split(r"^## (\w+)\n", (DOCS / name).read_text(), flags=re.MULTILINE)
+    parts = re.split(r"^## ([^\n]+)\n", (DOCS / name).read_text(), flags=re.MULTILINE)
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 

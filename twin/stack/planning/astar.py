@@ -58,11 +58,16 @@ def weights(
         table[UNKNOWN] = 1.0 + factor
     out = table[costmap.cells]
     # A vehicle that stands nearer to an obstacle than it should must still find its way out.
-    k = round(escape / costmap.resolution)
-    rows = slice(max(start[0] - k, 0), start[0] + k + 1)
-    columns = slice(max(start[1] - k, 0), start[1] + k + 1)
-    out[rows, columns][costmap.cells[rows, columns] == INSCRIBED] = ESCAPE
+    _open(out, costmap, start, escape)
     return out
+
+
+def _open(table: NDArray[np.float64], costmap: Costmap, cell: tuple[int, int], by: float) -> None:
+    """Let inscribed cells within `by` m of a cell be entered, at a price."""
+    k = round(by / costmap.resolution)
+    rows = slice(max(cell[0] - k, 0), cell[0] + k + 1)
+    columns = slice(max(cell[1] - k, 0), cell[1] + k + 1)
+    table[rows, columns][costmap.cells[rows, columns] == INSCRIBED] = ESCAPE
 
 
 def plan(
@@ -72,6 +77,7 @@ def plan(
     factor: float = 3.0,
     unknown: bool = False,
     escape: float = ESCAPE_REACH,
+    approach: float = 0.0,
 ) -> GridPath:
     """Cheapest way between two points in world.
 
@@ -82,6 +88,8 @@ def plan(
         factor: how much dearer than free ground the costliest passable cell is.
         unknown: whether unknown cells may be crossed.
         escape: m around the start within which inscribed cells may be left.
+        approach: m around the goal within which they may be entered, where the inflation is wider
+            than the vehicle.
 
     Raises:
         NoPath: one line naming what is wrong.
@@ -95,13 +103,15 @@ def plan(
         cost = int(costmap.cells[cell])
         if cost == LETHAL:
             raise NoPath(f"{at} lies inside an obstacle")
-        if name == "goal" and cost == INSCRIBED:
+        if name == "goal" and cost == INSCRIBED and not approach:
             raise NoPath(f"{at} lies too near to an obstacle for the vehicle")
         if name == "goal" and cost == UNKNOWN and not unknown:
             raise NoPath(f"{at} lies on unknown ground")
         ends.append(cell)
     begin, end = ends
     table = weights(costmap, begin, factor, unknown, escape)
+    if approach:
+        _open(table, costmap, end, approach)
     cost, parents = search(table, begin[0], begin[1], end[0], end[1], DIAGONAL)
     if not np.isfinite(cost):
         raise NoPath(
@@ -113,14 +123,18 @@ def plan(
     return GridPath(cells, xy, float(cost))
 
 
-def blocked(costmap: Costmap, xy: Array, escape: float = ESCAPE_REACH) -> bool:
+def blocked(
+    costmap: Costmap, xy: Array, escape: float = ESCAPE_REACH, approach: float = 0.0
+) -> bool:
     """Whether a way (n, 2) planned earlier now leads through an obstacle, so must be replanned.
 
-    Inscribed cells within `escape` m of its beginning are a way out, as in `plan`.
+    Inscribed cells within `escape` m of its beginning are a way out, and within `approach` m of its
+    end a way in, as in `plan`.
     """
     costs = np.array([costmap.cost(p) for p in xy])
     out = np.abs(xy - xy[0]).max(axis=1) <= escape
-    return bool(np.any(((costs == INSCRIBED) & ~out) | (costs == LETHAL)))
+    into = np.abs(xy - xy[-1]).max(axis=1) < approach
+    return bool(np.any(((costs == INSCRIBED) & ~(out | into)) | (costs == LETHAL)))
 
 
 @njit(cache=True)

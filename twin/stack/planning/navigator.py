@@ -284,7 +284,9 @@ class Navigator:
         """Keep the way or find a new one; why there is none, in one line."""
         around = self.surroundings
         costs = around.costs_with_lanes(now)
-        blocked, reason = self.route.renew(now, start, self._pose_goal, costs, around.unknown_ok)
+        blocked, reason = self.route.renew(
+            now, start, self._pose_goal, costs, around.unknown_ok, around.approach(self._pose_goal)
+        )
         if blocked:
             self.replans += 1
             self.events.append("the way is blocked: another one is taken")

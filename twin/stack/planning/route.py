@@ -44,7 +44,13 @@ class Route:
         return float(np.hypot(*np.diff(self.left(start), axis=0).T).sum())
 
     def renew(
-        self, now: float, start: Array, goal: Array, costs: Costmap, unknown_ok: bool
+        self,
+        now: float,
+        start: Array,
+        goal: Array,
+        costs: Costmap,
+        unknown_ok: bool,
+        approach: float = 0.0,
     ) -> tuple[bool, str]:
         """Keep the way or find a new one.
 
@@ -53,18 +59,19 @@ class Route:
             start, goal: x, y (yaw) in world.
             costs: of the floor as it is now.
             unknown_ok: whether unknown cells may be crossed.
+            approach: m around the goal within which the map's margin is not asked for.
 
         Returns:
             Whether the way that there was is blocked; and why there is none now, in one line.
         """
         left = self.left(start)
-        blocked = len(left) == 0 or astar.blocked(costs, left)
+        blocked = len(left) == 0 or astar.blocked(costs, left, approach=approach)
         if not blocked and now < self._due:
             return False, ""
         self._due = now + self.options.period
         had = len(self.xy) > 0
         try:
-            found = astar.plan(costs, start, goal, unknown=unknown_ok).xy
+            found = astar.plan(costs, start, goal, unknown=unknown_ok, approach=approach).xy
         except astar.NoPath as error:
             if not blocked:
                 return False, ""

@@ -24,6 +24,7 @@ class SurroundingsOptions:
     # m about the vehicle on the inflated map. The band keeps 0.04 m to cells of half-width 0.025 m:
     # with less, ways are found on which no band is.
     margin: float = 0.07
+    approach: float = 0.3  # m about a goal at which there is less, but room to stand
     beside: float = 1.0  # m beside the way within which obstacles count
     about: float = 2.0  # m about a vehicle that stands, likewise
     unseen: float = 0.8  # m about the vehicle within which ground never looked at is avoided
@@ -108,6 +109,10 @@ class Surroundings:
     def _changed(self) -> None:
         self._costs: Costmap | None = None
         self._lethal: Costmap | None = None
+
+    def approach(self, goal: Array) -> float:
+        """Metres about a goal within which the margin is not asked for: where the vehicle fits."""
+        return self.options.approach if self.costs().fits(goal, self._footprint) else 0.0
 
     def costs_with_lanes(self, now: float) -> Costmap:
         """Likewise, where what moves is going dearer."""
