@@ -6,6 +6,7 @@ import logging
 from dataclasses import asdict
 from pathlib import Path
 
+import onnx
 import torch
 
 from evaluation.detection import average_precision, count
@@ -46,6 +47,7 @@ def export(network: Detector, folder: Path, about: dict) -> None:
         dynamic_shapes={"image": {1: rows, 2: columns}},
         verbose=False,
     )
+    _strip(folder / FILE)
     write_card(
         folder,
         {
@@ -88,3 +90,16 @@ def write_card(folder: Path, card: dict) -> None:
     """The machine's part of the model card."""
     text = json.dumps(card, indent=2)
     (folder / CARD).write_text(text + "\n", encoding="utf-8")
+
+
+def _strip(path: Path) -> None:
+    """Take out what the exporter notes at each node: where in whose folders its code stood."""
+    model = onnx.load(path)
+    graph = model.graph
+    parts = (graph.node, graph.value_info, graph.input, graph.output, graph.initializer)
+    for part in (each for group in parts for each in group):
+        del part.metadata_props[:]
+        part.doc_string = ""
+    del graph.metadata_props[:]
+    del model.metadata_props[:]
+    onnx.save(model, path)
