@@ -199,10 +199,20 @@ def test_mover_stops_before_a_vehicle_that_stands():
     assert rig.world.collisions == []
 
 
-def test_mover_does_not_give_way_to_a_vehicle_that_moves():
-    rig = Rig(mover("[[3.0, 0.0], [1.0, 0.0]]"))
-    rig.drive(4.0, vx=0.4)
-    assert {c.kind for c in rig.world.collisions} == {"agv-obstacle"}
+def test_mover_does_not_run_into_a_vehicle_that_moves():
+    """Expected result: coming faster from behind it brakes, and falls in behind the vehicle."""
+    rig = Rig(mover("[[0.0, -1.2], [0.0, 3.0]]", speed=1.0))
+    rig.drive(5.0, vy=0.3)
+    assert rig.world.collisions == []
+    assert cart(rig)[1] > 0.3
+
+
+def test_mover_does_not_make_room():
+    """Expected result: a vehicle that drives on towards it, or into its side, hits it."""
+    for path in ("[[3.0, 0.0], [1.0, 0.0]]", "[[1.2, -1.2], [1.2, 0.5]]"):
+        rig = Rig(mover(path))
+        rig.drive(4.0, vx=0.4)
+        assert {c.kind for c in rig.world.collisions} == {"agv-obstacle"}
 
 
 # --- kidnapping -----------------------------------------------------------------------------------

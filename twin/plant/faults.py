@@ -73,7 +73,7 @@ class FaultDriver:
             return
         pose, velocity = world.base_motion()
         for mover in self._movers:
-            mover.step(world.data, pose, velocity, STEPS * world.model.opt.timestep)
+            mover.step(world.data, pose, STEPS * world.model.opt.timestep)
         for i, obstacle in list(self._late.items()):
             if self._is_due(i, obstacle, pose) and self._place(i, obstacle, pose, velocity):
                 del self._late[i]

@@ -1,8 +1,9 @@
 """Drives a cart to and fro along its path.
 
-It stops before a vehicle that stands in its way, as the safety scanner of any such cart does, and
-goes on when the way is free. While it goes it does not give way to a vehicle that moves: that one
-has to see it.
+It has a protective field before it, as ISO 3691-4 asks of any driverless truck: the ground it would
+need to stop, and a gap. It brakes for a vehicle in that field, standing or moving, and goes on when
+the field is free. It sees nothing else, gives way to nobody, and looks neither to its sides nor
+behind: who drives into its side, or into its field too late for its brakes, hits it.
 """
 
 import mujoco
@@ -15,8 +16,7 @@ from twin.plant.obstacles import MOVER_OUTLINE, mover_name, mover_start
 
 ACCELERATION = 1.0  # m/s^2; guess
 CORNER_SPEED = 0.1  # m/s with which it takes a corner, and turns round; guess
-GAP = 0.3  # m that it leaves to a vehicle that stands
-STANDS = 0.05  # m/s and rad/s up to which vehicle or cart stand
+GAP = 0.3  # m that the protective field reaches beyond what braking takes
 GAIN = 2.0  # 1/s towards the point of the path where it should be; not tuned
 FAR = 4.0  # m between the middles from which nobody is in the way: more than it takes at 2 m/s
 LEASH = 0.10  # m that it may be off that point before the point waits
@@ -50,17 +50,16 @@ class MoverDriver:
         """Where the cart is. Shape (2,), world."""
         return self._start[:2] + self._R_world_cart @ data.qpos[self._qpos]
 
-    def step(self, data: mujoco.MjData, pose: Array, velocity: Array, dt: float) -> None:
+    def step(self, data: mujoco.MjData, pose: Array, dt: float) -> None:
         """Set the servos.
 
         Args:
             data: the plant's state.
             pose: of the vehicle, x, y, yaw in world.
-            velocity: of the vehicle in base axes.
             dt: time since the last call, s.
         """
         here = self.position(data)
-        wanted = 0.0 if data.time < self._mover.starts else self._allowed(pose, velocity)
+        wanted = 0.0 if data.time < self._mover.starts else self._allowed(pose)
         change = np.clip(wanted - self._speed, -ACCELERATION * dt, ACCELERATION * dt)
         self._speed += float(change)
         target, direction, _ = self._at(self._travel)
@@ -70,12 +69,10 @@ class MoverDriver:
             v += self._speed * direction
         data.ctrl[self._ctrl] = self._R_world_cart.T @ v
 
-    def _allowed(self, pose: Array, velocity: Array) -> float:
-        """Speed from which it can slow down to the next corner, and stop before the vehicle."""
+    def _allowed(self, pose: Array) -> float:
+        """Speed from which it can slow down to the next corner; 0 with the vehicle in its field."""
         point, direction, left = self._at(self._travel)
         speed = min(self._mover.speed, float(np.sqrt(2 * ACCELERATION * left)) + CORNER_SPEED)
-        if np.abs(velocity).max() > STANDS and self._speed > STANDS:
-            return speed
         if np.linalg.norm(pose[:2] - point) > FAR:
             return speed
         x, y, yaw = pose
