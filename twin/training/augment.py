@@ -12,7 +12,7 @@ from twin.stack.config import StackConfig
 from twin.stack.detection.roi import GREY
 
 CROP = 128  # px
-ZOOM = (0.78, 1.28)  # about the scale at which the stack would look
+ZOOM = (0.90, 1.11)  # about the scale at which the stack would look: size tells TNC from N
 TURN_DEG = 12.0
 BANK = 1 << 20  # stored standard normals
 OFF_CENTRE = 0.25  # of the crop's side, of the part that it is taken about

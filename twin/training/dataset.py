@@ -24,6 +24,7 @@ from twin.training.labels import labels_of
 from twin.training.scenes import draw_scene
 
 SHARD = 100  # pictures a file
+GLARING = 0.20  # least share of the parts' pixels that glare saturates
 
 
 class Darkroom:
@@ -62,13 +63,16 @@ class Darkroom:
         line = config.site.line
         labels = labels_of(picture, scene, studio.part_names, config.parts, line.height, P_world)
         H = belt_homography(config, pose, P_world)
+        parts = picture.part >= 0
         image = develop(picture, H, self._domain, condition, self._optics, rng)
+        while condition.light == "glare" and labels and saturated_share(image, parts) < GLARING:
+            image = develop(picture, H, self._domain, condition, self._optics, rng)
         shot = Shot(
             pose=(float(pose[0]), float(pose[1]), float(pose[2])),
             T_base_camera=inverse(pose2_to_transform(pose)) @ scene.T_world_camera,
             fovy_deg=scene.fovy_deg,
             condition=condition,
-            saturated=saturated_share(image, picture.part >= 0),
+            saturated=saturated_share(image, parts),
             labels=tuple(labels),
         )
         return image, shot
