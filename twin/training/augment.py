@@ -1,4 +1,4 @@
-"""Crops for training: turned, scaled, lit, noisy, covered, and four in one (mosaic)."""
+"""Crops for training: turned, scaled, lit, noisy, covered, re-grounded, four in one (mosaic)."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,7 @@ from evaluation.pictures import PictureSet, region_of
 from twin.geometry import Array
 from twin.stack.config import StackConfig
 from twin.stack.detection.roi import GREY
+from twin.training.backdrop import Backdrop
 
 CROP = 128  # px
 ZOOM = (0.90, 1.11)  # about the scale at which the stack would look: size tells TNC from N
@@ -41,6 +42,7 @@ class Augmenter:
     def __init__(self, pictures: PictureSet, config: StackConfig):
         self._pictures = pictures
         self._regions = [region_of(shot, config) for shot in pictures.shots]
+        self._backdrop = Backdrop(BANK)
         self._bank = np.random.default_rng(BANK).standard_normal(BANK, dtype=np.float32)
 
     def draw(self, rng: np.random.Generator) -> Sample:
@@ -89,12 +91,13 @@ class Augmenter:
             self._pictures.image(k), M, (size, size), flags=cv2.INTER_LINEAR,
             borderValue=(GREY,) * 3,
         )  # fmt: skip
-        found = []
+        found, hulls = [], []
         for label in shot.labels:
             hull = np.array(label.contour, float) @ A.T + M[:, 2]
             low, high = hull.min(axis=0), hull.max(axis=0)
             if (high <= 1).any() or (low >= size - 1).any():
                 continue
+            hulls.append(hull)
             if (low < 0).any() or (high > size).any():
                 share, hull = _clip(hull, size)
             else:
@@ -103,7 +106,7 @@ class Augmenter:
                 continue
             box = np.concatenate([hull.min(axis=0), hull.max(axis=0) + scale])
             found.append((np.clip(box, 0, size), label.index, share * label.visible))
-        return np.asarray(image, np.uint8), found
+        return self._backdrop.lay(np.asarray(image, np.uint8), hulls, rng), found
 
 
 def _clip(hull: Array, size: int) -> tuple[float, Array]:
@@ -120,7 +123,7 @@ def _lit(
     image: NDArray[np.uint8], bank: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Brightness, contrast, colour and Gaussian noise from a bank of standard normals."""
-    factor = np.exp(rng.normal(0, 0.18)) * np.exp(rng.normal(0, 0.03, 3))
+    factor = np.exp(rng.normal(0, 0.18)) * np.exp(rng.normal(0, 0.06, 3))
     table = np.arange(256.0)[None, :, None] * factor + rng.normal(0, 6)
     lit = cv2.LUT(image, np.clip(table, 0, 255).astype(np.uint8))
     if rng.random() < 0.5:

@@ -12,7 +12,7 @@ from twin.training.network import Design
 LEVEL_SIZE = {4: 64.0, 16: 128.0, 32: math.inf}  # px: longer parts belong to the next stride
 RADIUS = 1.5  # cells about a part's centre that answer for it
 FOCUS = 2.0  # exponent by which easy empty cells are passed over (Lin et al. 2017)
-BOX, OBJECT, CLASS = 3.0, 1.0, 1.0  # weights; not tuned
+BOX, OBJECT, CLASS = 2.0, 1.0, 2.0  # weights; not tuned
 MAX_LOG_SIZE = 6.0  # of exp(tw), against overflow
 
 

@@ -19,7 +19,7 @@ from twin.messages import PART_CLASSES
 OUTPUTS = 5 + len(PART_CLASSES)  # box, object, classes
 NECK = 40  # channels of the maps that the heads look at
 WIDTHS = (12, 20, 32, 64, 112)  # channels at 1/2, 1/4, 1/8, 1/16, 1/32
-DEPTHS = (1, 2, 3, 2)  # residual blocks after each step down from 1/4 on
+DEPTHS = (2, 4, 3, 2)  # residual blocks after each step down from 1/4 on
 EMPTY = -4.0  # first bias of "object": next to all cells are empty
 
 
@@ -124,7 +124,7 @@ def torch_maps(network: Detector) -> Callable[[NDArray[np.uint8]], list[NDArray[
 
 
 class _Block(nn.Module):
-    """Inverted residual: widen, look around, narrow."""
+    """Inverted residual: widen, look around, narrow. It begins as the identity (He et al. 2019)."""
 
     def __init__(self, inside: int, outside: int, expansion: int, stride: int):
         super().__init__()
@@ -136,6 +136,8 @@ class _Block(nn.Module):
             nn.BatchNorm2d(outside),
         )
         self.adds = stride == 1 and inside == outside
+        if self.adds:
+            nn.init.zeros_(self.body[-1].weight)  # type: ignore[arg-type]
 
     def forward(self, x: Tensor) -> Tensor:
         y = self.body(x)
