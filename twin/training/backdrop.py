@@ -48,7 +48,7 @@ class Backdrop:
         return np.asarray(np.clip(lit, 0, 255), np.uint8)
 
 
-def _pattern(rng: np.random.Generator) -> Array:
+def _pattern(rng: np.random.Generator) -> NDArray[np.float32]:
     """One or two waves of any direction, soft or hard. Values from -1 to 1. Shape (256, 256)."""
     v, u = np.mgrid[0:SIDE, 0:SIDE].astype(np.float32)
     total = np.zeros((SIDE, SIDE), np.float32)

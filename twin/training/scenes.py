@@ -99,8 +99,8 @@ def _choose(names: tuple[str, ...], count: int, rng: np.random.Generator) -> lis
         left.setdefault(class_of(name), []).append(name)
     chosen = []
     for _ in range(count):
-        classes = [c for c in left if left[c]]
-        chosen.append(left[classes[rng.integers(len(classes))]].pop())
+        some = [names for names in left.values() if names]
+        chosen.append(some[rng.integers(len(some))].pop())
     return chosen
 
 

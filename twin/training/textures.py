@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.geometry import Array
-
 Texture = Literal[
     "plain", "noise", "weave", "stripes", "scratches", "diamonds", "blotches", "chevrons"
 ]
@@ -15,7 +13,7 @@ PITCH = 0.001  # m a texel
 SHAPE = (256, 1024)  # texels across and along the belt
 
 
-def texture(kind: Texture, rng: np.random.Generator) -> Array:
+def texture(kind: Texture, rng: np.random.Generator) -> NDArray[np.float32]:
     """Factors about 1. Shape (256, 1024), float32."""
     v, u = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(np.float32)
     period = rng.uniform(4.0, 24.0)  # mm

@@ -31,7 +31,7 @@ class Seen:
 
     evidence: Array  # (h, w) from -1 for the belt to 1 for the part, at twice the resolution
     corner: tuple[int, int]  # pixel (u, v) of the picture at its origin
-    contour: NDArray[np.floating]  # (k, 2) u, v in the picture
+    contour: Array  # (k, 2) u, v in the picture
 
 
 def look_into(image: NDArray[np.uint8], box: Array) -> Seen | None:
@@ -81,7 +81,7 @@ def look_into(image: NDArray[np.uint8], box: Array) -> Seen | None:
     filled = np.zeros(part.shape, np.uint8)
     cv2.drawContours(filled, [contour], -1, 1, cv2.FILLED)
     evidence[(hull > 0) & (evidence < 0) & (filled > 0)] = 0.0
-    points = (contour[:, 0, :] + 0.5) * FACTOR - 0.5 + (left, top)
+    points = (contour[:, 0, :].astype(float) + 0.5) * FACTOR - 0.5 + (left, top)
     return Seen(evidence, (int(left), int(top)), points)
 
 
