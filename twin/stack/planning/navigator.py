@@ -27,6 +27,7 @@ from twin.stack.planning.route import Route
 from twin.stack.planning.surroundings import Surroundings
 from twin.stack.planning.teb import Teb, TebPlan
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
+from twin.stack.planning.viewpoint import ViewOptions, over_known, unknown_on_way, viewpoint
 
 
 @dataclass(frozen=True)
@@ -206,9 +207,14 @@ class Navigator:
         o = self.options
         if self._ended is None:
             self._ended = now
+        if self._views and self._ends_at_aim:
+            self.follower.stop()
+            self._views.pop(0)
+            self._next_aim()
+            return
         off = pose_error(self._pose_goal, pose)
         away, turn = float(np.hypot(*off[:2])), abs(float(off[2]))
-        if not self._final:
+        if not self._ends_at_aim:
             self._due, self._ended = now, None
         elif away < o.tolerance and turn < o.tolerance_yaw and np.abs(velocity).max() < o.still:
             self._end("reached")
@@ -227,12 +233,14 @@ class Navigator:
         """A new band, along a new way where the old one is blocked. Whether there is one."""
         o = self.options
         moving_on = self.follower.trajectory is not None
-        closing = moving_on and self._final and self.follower.remaining < o.closing
+        closing = moving_on and self._ends_at_aim and self.follower.remaining < o.closing
         if closing and not self._in_the_way:
             self._due = now + o.band_period
             return True
         start, speed = self._start(pose, velocity)
         reason = self._find_path(now, start)
+        if not (reason or moving_on or self._viewed) and self._must_look(start):
+            reason = self._find_path(now, start)
         if not reason:
             # From here on: the band's horizon must not be used up by the way that lies behind.
             near = self._beside(now, self.route.left(start), start)
@@ -245,19 +253,53 @@ class Navigator:
                 self._look_ahead(now)
                 self._due, self._blocked_since, self._ended = now + o.band_period, None, None
                 return True
+        if self._views:
+            self._views = []
+            self._next_aim()
+            return self._plan(now, pose, velocity)
         self._without_plan(now, pose, reason)
         return False
+
+    def _must_look(self, start: Array) -> bool:
+        """Whether the way begins over ground that the camera must look at first; once a goal."""
+        around, options = self.surroundings, ViewOptions()
+        costs, known = around.costs(), around.known
+        dark = unknown_on_way(costs, known, self.route.left(start), options)
+        if dark is None:
+            return False
+        self._viewed = True
+        view = viewpoint(costs, known, start, dark, self.footprint, options)
+        if view is None:
+            return False
+        # First there as it is headed now, then turned: there is room to turn.
+        self._views = [np.array([*view[:2], start[2]]), view]
+        self._next_aim()
+        self.events.append(f"looks at the floor at ({dark[0]:.2f}, {dark[1]:.2f}) first")
+        return True
+
+    def _next_aim(self) -> None:
+        """On by a new way."""
+        self.route = Route()
+        self.teb.reset()
+        self._due, self._ended = -math.inf, None
+
+    @property
+    def _aim(self) -> Array:
+        """Where it is heading now: the goal, or a place to look from on the way there."""
+        return self._views[0] if self._views else self._pose_goal
 
     def _band(
         self, now: float, start: Array, speed: Array, near: Array, squeeze: float | None
     ) -> TebPlan:
         """The best band that there is: over ground that was looked at, over any, or squeezed."""
-        way, yaw = self.route.xy, self._pose_goal[2]
+        way, yaw = self.route.xy, self._aim[2]
         unseen, last = self.surroundings.unseen(start), self.teb.last
         if len(unseen):
             plan = self.teb.plan(now, start, speed, way, yaw, np.vstack([near, unseen]))
             if plan.trajectory is not None:
                 return plan
+            if self._views:
+                return plan  # it was to be seen first: not worth a risk
             self.teb.last = last  # to start from all the same
         plan = self.teb.plan(now, start, speed, way, yaw, near)
         if plan.trajectory is None and squeeze is not None:
@@ -267,8 +309,8 @@ class Navigator:
     def _take(self, now: float, trajectory, start: Array) -> None:
         if trajectory.began == now:
             self.follower.start(trajectory)
-        off = pose_error(self._pose_goal, trajectory.nodes[-1, :3])
-        self._final = bool(np.hypot(*off[:2]) < 1e-3 and abs(off[2]) < 1e-3)
+        off = pose_error(self._aim, trajectory.nodes[-1, :3])
+        self._ends_at_aim = bool(np.hypot(*off[:2]) < 1e-3 and abs(off[2]) < 1e-3)
 
     def _start(self, pose: Array, velocity: Array) -> tuple[Array, Array]:
         """Where the next band starts: on the reference, so that it goes on smoothly, if near."""
@@ -282,10 +324,12 @@ class Navigator:
 
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
-        around = self.surroundings
+        around, aim = self.surroundings, self._aim
         costs = around.costs_with_lanes(now)
+        if self._views:
+            costs = over_known(costs, around.known)
         blocked, reason = self.route.renew(
-            now, start, self._pose_goal, costs, around.unknown_ok, around.approach(self._pose_goal)
+            now, start, aim, costs, around.unknown_ok, around.approach(aim)
         )
         if blocked:
             self.replans += 1
@@ -320,7 +364,7 @@ class Navigator:
     def _watch_progress(self, now: float, pose: Array) -> None:
         """Recovery for a vehicle that does not come nearer, whatever the plans say."""
         way = self.route.length_left(pose)
-        way += 0.3 * abs(float(wrap_angle(self._pose_goal[2] - pose[2])))
+        way += 0.3 * abs(float(wrap_angle(self._aim[2] - pose[2])))
         since, least = self._progress
         if way < least - 0.1 or self._blocked_since is not None:
             self._progress = (now, min(way, least))
@@ -366,7 +410,9 @@ class Navigator:
     def _reset(self) -> None:
         self.route = Route()
         self._due = -math.inf
-        self._brake = self._in_the_way = self._final = self._recovered = False
+        self._brake = self._in_the_way = self._ends_at_aim = self._recovered = False
+        self._views: list[Array] = []
+        self._viewed = False  # for this goal
         self._fresh, self._tries = False, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None

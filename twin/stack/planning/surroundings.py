@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array
 from twin.messages import Goal, LidarScan, RgbdFrame
@@ -138,14 +139,19 @@ class Surroundings:
         around = np.vstack([around, self.layer.moving.obstacles(now)])
         return shrunk(around, start, self._footprint)
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Cells that the camera looked at, or that hold what is drawn or seen. Shape (h, w)."""
+        return self.layer.looked | self.layer.live | self._map.occupied
+
     def unseen(self, pose: Array) -> Array:
         """Rows as in `clearance` of ground near a pose that might hold what the lidar misses.
 
         The camera looks ahead. A vehicle that turns beside what it has never looked at sweeps over
         it with its tail.
         """
-        here, layer = self._map, self.layer
-        cells = np.where(layer.looked | layer.live | here.occupied, np.uint8(0), np.uint8(LETHAL))
+        here = self._map
+        cells = np.where(self.known, np.uint8(0), np.uint8(LETHAL))
         ground = Costmap(cells, here.resolution, here.origin)
         return shrunk(ground.obstacles(pose, self.options.unseen), pose, self._footprint)
 
