@@ -43,6 +43,8 @@ def unknown_on_way(
         way: points in world from where the vehicle stands. Shape (n, 2).
         options: how much of it counts.
     """
+    if len(way) == 0:
+        return None
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
     dark = _grown(~known, NARROW / costs.resolution)
     for point in way[(s >= options.begins) & (s <= options.ends)]:
