@@ -316,11 +316,33 @@ def test_turns_that_missed_a_crossing_are_left_out():
         (('world.faults.beacons.blocked=["T9"]',), "no node 'T9'"),
         (("site.beacons.spin_rate=10",), "greater than or equal to 20"),
         (("world.beacons.missed=2",), "less than or equal to 1"),
+        (('world.faults.beacons={blocked=["T1","T2","T3","T4","T5"], shuffle=1}',), "wants two"),
     ],
 )
 def test_layouts_of_the_network_that_cannot_be_built(overrides, said):
     with pytest.raises(LayoutError) as error:
         load_layout(None, overrides)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (
+            [(1.8, 0.4), (3.6, 0.4), (3.6, 1.4), (1.8, 1.4)],
+            "4 nodes; the head's calibration wants 5",
+        ),
+        ([(1.8, 0.4), (3.6, 0.4), (3.6, 1.4), (1.8, 1.4), (1.81, 1.4)], "N3 and N4: closer than"),
+        ([(1.8 + 0.4 * k, 0.5 + 0.2 * k) for k in range(6)], "stand on a line"),
+    ],
+)
+def test_nodes_that_cannot_calibrate_the_head_are_refused(places, said):
+    nodes = ", ".join(
+        f'{{name="N{i}", position=[-0.94, {y}, {z}], facing=0.0}}'
+        for i, (y, z) in enumerate(places)
+    )
+    with pytest.raises(LayoutError) as error:
+        load_layout(None, (f"site.beacons.nodes=[{nodes}]",))
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
