@@ -67,7 +67,7 @@ class Place(Strict):
 
 
 # Of the photoelectric network: nodes that the head's calibration wants (Liu et al. 2022, Eq. 32), a
-# node's housing in m, and how far off the line through the outermost two, of its length, one must be.
+# node's housing (m), and how far off the line of the outermost two one must be, of its length.
 LEAST_NODES, NODE_SIZE, LEAST_WIDTH = 5, 0.05, 0.02
 
 

@@ -29,7 +29,7 @@ LEAST_FREEDOM = 2  # crossings beyond the six that make a pose
 LEAST_NODES = 4
 Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 refused
 # Chi-square of two degrees that a node may cost: one in 1000; of five nodes one in 250. Four good
-# ones and one that is off by just what passes here and pulls the pose five sigma are the worst case.
+# ones and one that is off by just what passes here and pulls the pose five sigma are the worst.
 BLOCK_LIMIT, BLOCK_LIMIT_OF_FIVE = 13.8, 11.0
 REFUTED = 13.8  # chi-square beyond the best choice's at which another one is out: one in 1000
 # m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma; guess: a head
@@ -74,7 +74,6 @@ def settle(
     """
     node = data[2]
     readings = _readings(starts[0], data, covariance)
-    trusted = np.unique(node).tolist()
     if fault := _redundancy(readings[0], node):
         return fault
     apart = _apart(starts)
@@ -82,7 +81,7 @@ def settle(
     def fits(culprits: tuple[int, ...], strict: bool, least: int = LEAST_FREEDOM) -> list[Settled]:
         found = []
         for start, rows in product(apart, readings):
-            rest = rows[~np.isin(node[rows], culprits)]
+            rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
             if len(rest) - 6 < least or _redundancy(rest, node) is not None:
                 continue
             fitted = _fitted(start, rest, data, covariance, floor)
@@ -91,10 +90,12 @@ def settle(
         return found
 
     agreeing = fits((), True)
-    doubled = tuple(_doubled(node, data[3]))
-    if doubled and not (agreeing and _one_place(agreeing)):
+    if agreeing and _one_place(agreeing):
+        return _best(agreeing)
+    if doubled := _doubled(node, data[3]):
         # Beside a mirror, for sure. The others can do without it, if they check one another.
         agreeing = fits(doubled, True) or agreeing
+    trusted = np.unique(node).tolist()
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
             break
@@ -104,17 +105,21 @@ def settle(
     if agreeing:
         agreeing = _plausible(agreeing, floor)
         if _one_place(agreeing):
-            return min(agreeing, key=lambda fitted: fitted.chi_square)
+            return _best(agreeing)
         return NoFix("ambiguous", "which crossings are reflections cannot be told")
     if len(trusted) == LEAST_NODES:
         return NoFix("no redundancy", f"{LEAST_NODES} nodes, and they disagree")
     return NoFix("residuals", "no choice of one or two false nodes leaves the others in agreement")
 
 
-def _doubled(node: NDArray[np.int64], plane: NDArray[np.int64]) -> list[int]:
+def _doubled(node: NDArray[np.int64], plane: NDArray[np.int64]) -> tuple[int, ...]:
     """Nodes of which a plane has more than one crossing."""
     pairs, counts = np.unique(2 * node + plane, return_counts=True)
-    return np.unique(pairs[counts > 1] // 2).tolist()
+    return tuple(np.unique(pairs[counts > 1] // 2).tolist())
+
+
+def _best(fits: list[Settled]) -> Settled:
+    return min(fits, key=lambda fitted: fitted.chi_square)
 
 
 def _plausible(fits: list[Settled], floor: Array) -> list[Settled]:
@@ -164,18 +169,19 @@ def _readings(start, data, covariance: Array) -> list[NDArray[np.int64]]:
     might be as well.
     """
     nodes, _, node, plane, theta, normals, A, s = data
-    pairs = 2 * node + plane
-    rows = np.arange(len(node))
-    if len(np.unique(pairs)) == len(rows):
+    rows, met = np.arange(len(node)), {}
+    for row, pair in enumerate((2 * node + plane).tolist()):
+        met.setdefault(pair, []).append(row)
+    if len(met) == len(rows):
         return [rows]
     r, J = np.empty(len(rows)), np.empty((len(rows), 6))
     linearise(start[0], start[1], rows, nodes, node, plane, theta, normals, A, s, r, J)
-    options = []
-    for pair in np.unique(pairs):
-        here = np.nonzero(pairs == pair)[0]
-        here = here[np.argsort(np.abs(r[here]))]
-        near = np.abs(r[here] - r[here[0]]) < TWINS * np.sqrt(covariance[here[0], here[0]])
-        options.append(here[near].tolist())
+    off, options = r.tolist(), []
+    for here in met.values():
+        first = min(here, key=lambda row: abs(off[row]))
+        limit = TWINS * float(covariance[first, first]) ** 0.5
+        near = [row for row in here if abs(off[row] - off[first]) < limit]
+        options.append(sorted(near, key=lambda row: abs(off[row])))
     return [np.array(choice) for choice in islice(product(*options), MOST_READINGS)]
 
 
@@ -188,7 +194,7 @@ def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | Non
 
 def _one_place(fits: list[Settled]) -> bool:
     """Whether the best one's place is that of all."""
-    best = min(fits, key=lambda fitted: fitted.chi_square)
+    best = _best(fits)
     return all(_same_place(best, other) for other in fits)
 
 
