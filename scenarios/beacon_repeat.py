@@ -151,9 +151,14 @@ def _directions(place: Locator, batch: StampBatch) -> Array:
 
 
 def _scatter_of_directions(angles: Array) -> Array:
-    """Of azimuth and elevation, rms over the nodes, rad. Shape (turns, n, 2) to (2,)."""
-    first = np.nan_to_num(np.nanmedian(angles, axis=0))
-    return np.sqrt(np.nanmean(np.nanvar(wrap_angle(angles - first), axis=0), axis=0))
+    """Of azimuth and elevation, rms over the nodes that were seen. (turns, n, 2) to (2,), rad."""
+    known = np.isfinite(angles).all(axis=2)
+    seen = np.nonzero(known.any(axis=0))[0]
+    if not len(seen):
+        return np.full(2, np.nan)
+    # The head's x points back, so azimuths lie about half a turn: off the first sight of each node.
+    off = wrap_angle(angles[:, seen] - angles[known[:, seen].argmax(axis=0), seen])
+    return np.asarray(np.sqrt(np.mean(np.nanvar(off, axis=0), axis=0)), dtype=np.float64)
 
 
 def _spread(places) -> Array:

@@ -8,7 +8,13 @@ import pytest
 
 from evaluation.beacon_field import STOPS, in_the_field
 from evaluation.run import RunRequest
-from scenarios import beacon_calibrate, beacon_faults, beacon_moving, beacon_parking
+from scenarios import (
+    beacon_calibrate,
+    beacon_faults,
+    beacon_moving,
+    beacon_parking,
+    beacon_repeat,
+)
 from twin.cli import main
 from twin.layout import load_layout
 from twin.recording.tum import read_tum
@@ -26,6 +32,8 @@ def test_a_short_measurement_leaves_poses_in_space_and_a_recording(tmp_path):
     assert not report["complete"] and report["metrics"]["measurements"] > 50
     assert report["metrics"]["mount_error_mm"] < 2.0
     assert report["metrics"]["sigma_filtered_y_mm"] < 0.5
+    for name in ("sigma_azimuth_urad", "sigma_elevation_urad"):  # 73 of a stamp, T0's besides
+        assert 40 < report["metrics"][name] < 200
     (stamps, truth), (_, estimate) = (
         read_tum(tmp_path / f"{name}.tum") for name in ("truth", "estimate")
     )
@@ -67,6 +75,17 @@ def test_a_short_drive(tmp_path):
     assert not result.complete and result.metrics["fix_availability"] > 0.9
     assert result.metrics["course_rmse_mm"] < 5.0 and result.metrics["collisions"] == 0.0
     assert result.trajectories["estimate"][1].shape[1] == 7
+
+
+def test_scatter_of_directions_behind_the_head():
+    """Azimuths about half a turn, one node never seen, one turn missed."""
+    rng = np.random.default_rng(0)
+    angles = np.array([np.pi, 0.1]) + rng.normal(0, [1e-4, 2e-4], (2000, 6, 2))
+    angles[..., 0] = np.remainder(angles[..., 0] + np.pi, 2 * np.pi) - np.pi
+    angles[:, 3] = angles[0, 2] = np.nan
+    scatter = beacon_repeat._scatter_of_directions(angles)
+    assert scatter == pytest.approx([1e-4, 2e-4], rel=0.03)
+    assert np.isnan(beacon_repeat._scatter_of_directions(np.full((3, 6, 2), np.nan))).all()
 
 
 @pytest.mark.slow
