@@ -12,8 +12,10 @@ from pydantic import ValidationError
 
 from evaluation.run import RunRequest
 from evaluation.simulation import Simulation
+from twin.geometry import wrap_angle
 from twin.layout import Layout, LayoutError
 from twin.messages import BeaconOrder
+from twin.site import Pose2
 from twin.stack.estimation.beacon_calibration import (
     load_beacon_calibration,
     save_beacon_calibration,
@@ -22,6 +24,8 @@ from twin.stack.estimation.beacon_calibration import (
 DOCK = (2.5, 2.6, float(np.pi))  # x, y, yaw: the truss is 3.1 m ahead of the head
 FILE = "beacon_calibration.json"
 WEST = float(np.pi)  # yaw that faces the truss
+# Where a layout's own dock is kept: m, and rad about facing the truss
+FIELD_X, FIELD_Y, FACING = (0.9, 2.5), (1.4, 3.8), 0.5
 # Turns on the spot show where on the vehicle the head is, ways its yaw, changes of range and
 # bearing the planes' angles.
 STOPS = (
@@ -43,7 +47,10 @@ LONGEST = 240.0  # s of simulated time after which a calibration drive is given 
 
 
 def in_the_field(layout: Layout) -> Layout:
-    """The layout with head and truss fitted, and the dock before the truss; no cameras.
+    """The layout with head and truss fitted and used, and the dock before the truss.
+
+    A dock that the layout has there already is kept. Cameras are off: nothing here looks at
+    pictures, and they cost most of the time.
 
     Raises:
         LayoutError: one line, for a layout without a network or whose field is not free.
@@ -54,21 +61,30 @@ def in_the_field(layout: Layout) -> Layout:
     beacons = world.beacons.model_copy(update={"fitted": True})
     sensors = world.sensors.model_copy(update={"cameras": False})
     world = world.model_copy(update={"beacons": beacons, "sensors": sensors})
-    site = site.model_copy(update={"dock": DOCK})
+    if not _before_the_truss(site.dock):
+        site = site.model_copy(update={"dock": DOCK})
     method = "all" if options.beacons == "off" else options.beacons
-    options = options.model_copy(update={"beacons": method, "tags": False})
+    options = options.model_copy(update={"beacons": method})
     tree = {"site": site, "world": world, "options": options}
     try:
         return Layout.model_validate({key: value.model_dump() for key, value in tree.items()})
     except ValidationError as error:
         why = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise LayoutError(f"the field before the truss, dock at {DOCK[:2]}: {why}") from None
+        raise LayoutError(f"the field before the truss, dock at {site.dock[:2]}: {why}") from None
 
 
-def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:
-    """The field, with a calibration of this vehicle's head; None if its drive was broken off.
+def _before_the_truss(pose: Pose2) -> bool:
+    x, y, yaw = pose
+    turned = abs(float(wrap_angle(yaw - WEST)))
+    return FIELD_X[0] <= x <= FIELD_X[1] and FIELD_Y[0] <= y <= FIELD_Y[1] and turned <= FACING
 
-    Without a file in the options the drive is made first, and its file left in the run's folder.
+
+def calibrated_field(request: RunRequest, layout: Layout) -> tuple[RunRequest, Layout] | None:
+    """The field with a calibration of this vehicle's head, and what of the run is left to do.
+
+    Without a file in the options the drive is made first, on a day without faults of the network,
+    and its file left in the run's folder. Its time counts: a `--duration` that ends within it
+    breaks it off, and nothing is returned.
 
     Raises:
         LayoutError: the file that the options name cannot be read.
@@ -80,14 +96,12 @@ def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:
             load_beacon_calibration(Path(layout.options.beacon_calibration))
         except ValueError as error:
             raise LayoutError(f"options: {error}") from None
-        return layout
+        return request, layout
 
     def progress(time: float, total: float, text: str) -> None:
         request.progress(time, total, f"calibration: {text}")
 
-    quiet = replace(
-        request, record=False, log=False, viewer=False, progress=progress, duration=None
-    )
+    quiet = replace(request, record=False, log=False, viewer=False, progress=progress)
     bare = without_network(layout)
     faults = bare.world.faults.model_copy(update={"beacons": type(bare.world.faults.beacons)()})
     bare = bare.model_copy(update={"world": bare.world.model_copy(update={"faults": faults})})
@@ -96,8 +110,12 @@ def calibrated_field(request: RunRequest, layout: Layout) -> Layout | None:
             return None
         path = request.out / FILE
         save_beacon_calibration(sim.stack.head.solve(), path)
+        spent = sim.plant.time
+    left = None if request.duration is None else request.duration - spent
+    if left is not None and left <= 0.0:
+        return None
     options = layout.options.model_copy(update={"beacon_calibration": str(path)})
-    return layout.model_copy(update={"options": options})
+    return replace(request, duration=left), layout.model_copy(update={"options": options})
 
 
 def without_network(layout: Layout) -> Layout:

@@ -27,6 +27,7 @@ from twin.plant.beacons import survey_error
 from twin.stack.estimation.beacon_calibration import save_beacon_calibration
 from twin.stack.estimation.beacons.bound import calibration_bound
 from twin.stack.estimation.beacons.calibration import calibrate
+from twin.stack.estimation.beacons.rigid import euler_xyz
 
 CALIBRATIONS = 200
 DWELL = 7.0  # s at each stop
@@ -64,8 +65,8 @@ def metrics(
         return figures, [str(error)]
     save_beacon_calibration(found, request.out / FILE)
     planes = np.array(found.planes) - true_planes(sim.plant).as_array()
-    T = found.applied(sim.config).beacons.T_base_head
-    mount = errors6(T, true_mount(sim.plant))
+    T, true = found.applied(sim.config).beacons.T_base_head, true_mount(sim.plant)
+    mount, turned = errors6(T, true), euler_xyz(true[:3, :3].T @ T[:3, :3])
     ratios, notes = against_bound(sim, watch, np.random.default_rng([request.seed, 4]))
     figures = {
         "angles_over_bound": rms(ratios),
@@ -75,6 +76,7 @@ def metrics(
         "mount_error_mm": 1e3 * float(np.linalg.norm(mount[:3])),
         "mount_error_plane_mm": 1e3 * float(np.hypot(*mount[:2])),
         "mount_error_mrad": 1e3 * float(np.linalg.norm(mount[3:])),
+        **{f"mount_error_r{a}_mrad": 1e3 * float(e) for a, e in zip("xyz", turned, strict=True)},
         "turns": float(found.turns),
         **figures,
     }

@@ -43,9 +43,10 @@ CRITERIA = [
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the route."""
-    field = calibrated_field(request, layout)
-    if field is None:
+    found = calibrated_field(request, layout)
+    if found is None:
         return RunResult(notes=["the calibration drive was broken off"])
+    request, field = found
     watch = BeaconMonitor()
     config = belief(field)
     config = replace(config, drive=replace(config.drive, speed=SPEED, strafe_speed=SPEED))

@@ -38,9 +38,10 @@ CRITERIA = [
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the moves."""
-    field = calibrated_field(request, layout)
-    if field is None:
+    found = calibrated_field(request, layout)
+    if found is None:
         return RunResult(notes=["the calibration drive was broken off"])
+    request, field = found
     poses = moves(np.random.default_rng([request.seed, 5]), field.site.dock)
     watch = BeaconMonitor()
     with Simulation(request, field, ParkOrder(0.0, poses), (watch,)) as sim:
@@ -76,12 +77,16 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
     distance = _steps(heads[:, :3, 3])
     ours = _steps((believed @ sim.stack.config.beacons.T_base_head)[:, :3, 3]) - distance
     single = [_single(sim, watch, t) for t, _ in parked]
-    one = {k: _steps(np.array([s[k] for s in single]).reshape(-1, 3)) - distance for k in (0, 1)}
+    source, single_ours = (
+        _steps(np.array([s[k] for s in single]).reshape(-1, 3)) - distance for k in (0, 1)
+    )
+    # Both methods are judged by the same moves: those whose two turns gave both of them a pose.
+    both = np.isfinite(source) & np.isfinite(single_ours)
     table = {
         "distance": distance,
         "parking_error_mm": error,
-        "residual_source": one[0],
-        "residual_ours": one[1],
+        "residual_source": source,
+        "residual_ours": single_ours,
         "residual_filtered": ours,
     }
     return {
@@ -89,8 +94,11 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         "parking_error_rms_mm": float(np.sqrt(np.mean(error**2))) if len(error) else np.nan,
         "parking_yaw_error_max_deg": float(np.degrees(_most(yaw[1:]))),
         "estimate_error_max_mm": 1e3 * _most(np.hypot(*(believed - true)[1:, :2, 3].T)),
-        "distance_residual_source_max_mm": 1e3 * _most(one[0]),
-        "distance_residual_ours_max_mm": 1e3 * _most(one[1]),
+        "distance_residual_source_max_mm": 1e3 * _most(source[both]),
+        "distance_residual_ours_max_mm": 1e3 * _most(single_ours[both]),
+        "distances_compared": float(both.sum()),
+        "turns_without_source": float(sum(np.isnan(s[0]).any() for s in single)),
+        "turns_without_ours": float(sum(np.isnan(s[1]).any() for s in single)),
         "distance_residual_filtered_max_mm": 1e3 * _most(ours),
         "moves": float(len(error)),
         "move_shortest_mm": 1e3 * float(distance.min()) if len(distance) else np.nan,
@@ -133,4 +141,4 @@ def _steps(places: Array) -> Array:
 
 def _most(values: Array) -> float:
     """Greatest size; NaN of nothing."""
-    return float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else float("nan")
+    return float(np.max(np.abs(values))) if len(values) else float("nan")

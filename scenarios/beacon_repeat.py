@@ -21,13 +21,15 @@ from evaluation.beacons import (
 )
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
-from twin.geometry import Array
+from twin.geometry import Array, wrap_angle
 from twin.layout import Layout
 from twin.loop import Tick
 from twin.messages import CourseOrder
 from twin.stack.estimation.beacon_receiver import locator, stamp_batch
+from twin.stack.estimation.beacons.angles import azimuth_elevation, rays
 from twin.stack.estimation.beacons.bound import pose_bound, position_sigma
-from twin.stack.estimation.beacons.fix import Fix
+from twin.stack.estimation.beacons.fix import Fix, Locator
+from twin.stack.estimation.beacons.stamps import NoFix, StampBatch
 
 MEASUREMENTS = 500  # of the figure
 MORE = 1500  # of the ratio of both methods, which 500 tell to no better than 4 %
@@ -52,9 +54,10 @@ CRITERIA = [
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the measurements."""
-    field = calibrated_field(request, layout)
-    if field is None:
+    found = calibrated_field(request, layout)
+    if found is None:
         return RunResult(notes=["the calibration drive was broken off"])
+    request, field = found
     watch = BeaconMonitor()
     with Simulation(request, field, CourseOrder(0.0, ()), (watch,)) as sim:
 
@@ -77,18 +80,22 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
     T = watch.truth_at(readings[0].stamp) @ true_mount(plant)
     three, triple_bound = best_triple(plant, T)
     fourth = next(name for name in place.survey.names if name not in three)
-    ours, source, squares = [], [], []
+    ours, source, both, off, angles = [], [], [], [], []
     for reading in readings:
         batch = stamp_batch(reading)
-        found = place.fix(batch)
-        if isinstance(found, Fix):
+        angles.append(_directions(place, batch))
+        mine = place.fix(batch)
+        theirs = place.source_fix(batch, (*three, fourth))  # type: ignore[arg-type]
+        if isinstance(mine, Fix):
             true = watch.truth_at(reading.stamp - 0.5 / place.spin_rate) @ true_mount(plant)
-            ours.append(found.T_world_head[:3, 3])
-            squares.append(found.T_world_head[:3, 3] - true[:3, 3])
-        found = place.source_fix(batch, (*three, fourth))  # type: ignore[arg-type]
-        if isinstance(found, np.ndarray):
-            source.append(found[:3, 3])
-    gain = _spread(ours) / _spread(source)
+            ours.append(mine.T_world_head[:3, 3])
+            off.append(ours[-1] - true[:3, 3])
+        if isinstance(theirs, np.ndarray):
+            source.append(theirs[:3, 3])
+        if isinstance(mine, Fix) and isinstance(theirs, np.ndarray):
+            both.append((ours[-1], source[-1]))
+    pairs = np.array(both).reshape(-1, 2, 3)
+    gain = _spread(pairs[:, 0]) / _spread(pairs[:, 1])
     end = readings[min(MEASUREMENTS, len(readings)) - 1].stamp
     stamps = np.array(watch.stamps)
     heads = [
@@ -105,7 +112,8 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         1e3 * position_sigma(b)
         for b in (pose_bound(T, true_setting(plant, surveyed=False)), triple_bound)
     ]
-    whole, off = pose_bound(T, true_setting(plant)), np.array(squares).reshape(-1, 3)
+    whole, errors = pose_bound(T, true_setting(plant)), np.array(off).reshape(-1, 3)
+    azimuth, elevation = 1e6 * _scatter_of_directions(np.array(angles))
     return {
         **_by_axis("sigma_{}_mm", sigma["source"]),
         **_by_axis("sigma_{}_source_mm", SOURCE),
@@ -115,12 +123,42 @@ def metrics(sim: Simulation, watch: BeaconMonitor) -> tuple[dict[str, float], di
         **_by_axis("sigma_filtered_{}_mm", sigma["filtered"]),
         **_by_axis("bound_{}_mm", bounds[0]),
         **_by_axis("bound_triple_{}_mm", bounds[1]),
-        "rmse_over_bound": rms(np.linalg.norm(off, axis=1)) / np.trace(whole[:3, :3]) ** 0.5,
-        "bias_mm": 1e3 * float(np.linalg.norm(off.mean(axis=0))) if len(off) else np.nan,
+        "rmse_over_bound": rms(np.linalg.norm(errors, axis=1)) / np.trace(whole[:3, :3]) ** 0.5,
+        "bias_mm": 1e3 * float(np.linalg.norm(errors.mean(axis=0))) if len(errors) else np.nan,
+        "sigma_azimuth_urad": float(azimuth),
+        "sigma_elevation_urad": float(elevation),
         "measurements": float(len(ours)),
         "source_solved": len(source) / len(readings),
         **calibration_errors(sim),
     }, series
+
+
+def _directions(place: Locator, batch: StampBatch) -> Array:
+    """Azimuth and elevation in head at which nodes were seen in a turn, Eq. 7. Shape (n, 2), rad.
+
+    In the order of the survey; NaN for a node that a plane missed.
+    """
+    found = np.full((len(place.survey.names), 2), np.nan)
+    measured = place.crossings(batch)
+    if isinstance(measured, NoFix):
+        return found
+    seen, theta = measured[0], np.full((len(batch.nodes), 2), np.nan)
+    theta[seen.node, seen.plane] = seen.theta
+    at = [place.survey.index[name] for name in batch.nodes]
+    directions = rays(theta[:, 0], theta[:, 1], place.head)
+    found[at] = np.stack(azimuth_elevation(directions), axis=1)
+    return found
+
+
+def _scatter_of_directions(angles: Array) -> Array:
+    """Of azimuth and elevation, rms over the nodes that were seen. (turns, n, 2) to (2,), rad."""
+    known = np.isfinite(angles).all(axis=2)
+    seen = np.nonzero(known.any(axis=0))[0]
+    if not len(seen):
+        return np.full(2, np.nan)
+    # The head's x points back, so azimuths lie about half a turn: off the first sight of each node.
+    off = wrap_angle(angles[:, seen] - angles[known[:, seen].argmax(axis=0), seen])
+    return np.asarray(np.sqrt(np.mean(np.nanvar(off, axis=0), axis=0)), dtype=np.float64)
 
 
 def _spread(places) -> Array:

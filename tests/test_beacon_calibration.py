@@ -6,6 +6,7 @@ from beacon_world import NAMES, TRUSS, BeaconWorld
 from scipy.optimize import least_squares
 
 from twin.geometry import between2, inverse, rot_x, rot_y, rot_z, transform
+from twin.stack.estimation.beacons.angles import Crossings, angles_of, normals
 from twin.stack.estimation.beacons.bound import (
     Setting,
     calibration_bound,
@@ -15,7 +16,8 @@ from twin.stack.estimation.beacons.bound import (
 from twin.stack.estimation.beacons.calibration import Bundle, average, calibrate
 from twin.stack.estimation.beacons.fix import Locator
 from twin.stack.estimation.beacons.mount import Stop, _linearised, calibrate_mount
-from twin.stack.estimation.beacons.rigid import exp_rotation
+from twin.stack.estimation.beacons.refine import linearise, motion
+from twin.stack.estimation.beacons.rigid import euler_xyz, exp_rotation
 from twin.stack.estimation.beacons.stamps import HeadParameters, NodeSurvey, Noise
 
 NOMINAL = HeadParameters()
@@ -127,6 +129,66 @@ def test_calibration_that_cannot_be_is_refused():
     place = Locator(blurred.survey(), noise=blurred.noise)
     with pytest.raises(ValueError, match="do not determine phi_1, phi_2, phi_r"):
         calibrate(revolutions(blurred, rng, locator=place), blurred.survey(), NOMINAL)
+
+
+def exact_stops(head, places=PLACES):
+    """Angles of all crossings without noise or ticks, believed to 50 microradians."""
+    node, plane, sigma = np.repeat(np.arange(6), 2), np.tile([0, 1], 6), 50e-6
+    mount, stops = BeaconWorld().T_base_head, []
+    for pose in places:
+        T = base(*pose) @ mount
+        theta = angles_of((TRUSS - T[:3, 3]) @ T[:3, :3], head).ravel()
+        stops.append(Crossings(node, plane, theta, np.zeros(12), sigma**2 * np.eye(12), 188.5))
+    return stops
+
+
+def printed_distance(R, t, theta, N, P):
+    """Eq. 30 with R from head to world: (R R_theta N) . (P - t), m."""
+    return float((R @ rot_z(theta) @ N) @ (np.asarray(P) - t))
+
+
+def test_eqs_30_and_31_by_hand():
+    """Head at (1, 2, 0.5), turned a quarter about z: a node at (1, 5, 0.5) is 3 m ahead, level.
+
+    Expected: plane 1 meets it at 0, plane 2 a quarter turn earlier. A node 0.3 m higher stands
+    0.3 cos 45 over plane 1 then (Eq. 30, m); in angle, arcsin(0.1), as sin = tan(el) / tan(phi).
+    """
+    R, t = rot_x(0.0) @ rot_y(0.0) @ rot_z(np.pi / 2), np.array([1.0, 2.0, 0.5])
+    half = np.sqrt(0.5)
+    N1, N2 = np.array([0, -half, half]), np.array([-half, 0, half])
+    assert normals(NOMINAL) == pytest.approx(np.array([N1, N2]))
+    assert printed_distance(R, t, 0.0, N1, (1, 5, 0.5)) == pytest.approx(0.0)
+    assert printed_distance(R, t, -np.pi / 2, N2, (1, 5, 0.5)) == pytest.approx(0.0)
+    assert printed_distance(R, t, 0.0, N1, (1, 5, 0.8)) == pytest.approx(0.3 * half)
+    nodes, rows = np.array([[1, 5, 0.5], [1, 5, 0.8]]), np.arange(3)
+    r, J = np.empty(3), np.empty((3, 6))
+    A, s = motion(np.zeros(6), np.zeros(3))
+    node, plane, theta = np.array([0, 0, 1]), np.array([0, 1, 0]), np.array([0, -np.pi / 2, 0])
+    seen = nodes, node, plane, theta
+    assert linearise(R, t, rows, *seen, normals(NOMINAL), A, s, r, J)
+    assert r == pytest.approx([0.0, 0.0, np.arcsin(0.1)], abs=1e-12)
+
+
+def test_eqs_32_and_33_the_printed_sum_is_least_where_the_calibration_ends():
+    """By any of the nine unknowns of Eq. 31 a step away, the printed sum of squares grows."""
+    stops = exact_stops(BUILT)
+    found = calibrate(stops, NodeSurvey(NAMES, TRUSS, np.full(6, 30e-6)), NOMINAL)
+
+    def printed(phi, euler, t, k):
+        R = rot_x(euler[0]) @ rot_y(euler[1]) @ rot_z(euler[2])
+        N, stop = normals(HeadParameters(*phi)), stops[k]
+        return sum(
+            printed_distance(R, t, theta, N[plane], TRUSS[node]) ** 2
+            for node, plane, theta in zip(stop.node, stop.plane, stop.theta, strict=True)
+        )
+
+    for k in range(len(stops)):
+        best = np.concatenate([found.head.as_array(), euler_xyz(found.R[k]), found.p[k]])
+        least = printed(best[:3], best[3:6], best[6:], k)
+        assert least < 12 * (1e-6) ** 2
+        for step in 1e-4 * np.vstack([np.eye(9), -np.eye(9)]):
+            moved = best + step
+            assert printed(moved[:3], moved[3:6], moved[6:], k) > 10 * least + 1e-9
 
 
 # --- mount --------------------------------------------------------------------------------------

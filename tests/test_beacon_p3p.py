@@ -63,10 +63,35 @@ def test_eqs_11_to_13_by_hand():
     out = np.empty((4, 4))
     assert distances(0.0, 0.0, 0.0, 5.0, 10.0, 13.0, 0.0, out, np.empty(4)) == 1
     assert out[0, :3] == pytest.approx([1, 2, 3])
-    # Eq. 12 as corrected, at that solution.
-    x, y, v, w = 1 / 3, 2 / 3, 13 / 5, 10 / 5
-    assert (1 - w) * x**2 - w * y**2 + 1 == pytest.approx(0)
-    assert (1 - v) * y**2 - v * x**2 + 1 == pytest.approx(0)
+
+
+@first_compiles
+@given(seeds)
+def test_eqs_9_to_13_as_printed_hold_at_every_solution(seed):
+    """With the print's slips mended: w's ratio in Eq. 11, x and y of Eq. 12's second line."""
+    p_world, T = random_case(seed, 3)
+    p_head = apply(T, p_world)
+    assume(conditioning(p_head) > 0.01 and triple_fault(p_world) is None)
+    f = p_head / np.linalg.norm(p_head, axis=1)[:, None]
+    cab, cac, cbc = f[0] @ f[1], f[0] @ f[2], f[1] @ f[2]
+    s12, s13, s23 = (np.sum((p_world[i] - p_world[j]) ** 2) for i, j in ((0, 1), (0, 2), (1, 2)))
+    out = np.empty((4, 4))
+    n = distances(cab, cac, cbc, s12, s13, s23, 0.0, out, np.empty(4))
+    assert n >= 1
+    v, w = s23 / s12, s13 / s12
+    for d1, d2, d3 in out[:n, :3]:
+        assert d1**2 + d2**2 - 2 * d1 * d2 * cab == pytest.approx(s12, abs=1e-7)  # Eq. 9
+        x, y = d1 / d3, d2 / d3
+        u = s12 / d3**2
+        assert x**2 + 1 - 2 * x * cac == pytest.approx(w * u, abs=1e-6)  # Eq. 11
+        assert y**2 + 1 - 2 * y * cbc == pytest.approx(v * u, abs=1e-6)
+        scale = 1 + w * (x**2 + y**2) + v * (x**2 + y**2) + x**2 + y**2
+        one = (1 - w) * x**2 - w * y**2 - 2 * x * cac + 2 * w * x * y * cab + 1  # Eq. 12
+        two = (1 - v) * y**2 - v * x**2 - 2 * y * cbc + 2 * v * x * y * cab + 1
+        assert abs(one) < 1e-6 * scale and abs(two) < 1e-6 * scale
+        b1 = 2 * w * (cab * x - cbc)  # Eq. 13
+        b0 = (v + w - 1) * x**2 + 2 * (1 - v) * cac * x + v - w - 1
+        assert abs(b1 * y - b0) < 1e-6 * scale
 
 
 @first_compiles
@@ -139,25 +164,12 @@ def test_batches_are_the_single_problems():
         p3p(p_head[:, :3], p_world[:3, :3])
 
 
-def test_eq_26_by_hand():
-    # On the plane Y = 1 the ray meets (0.5, 1, 0.25), the point (0.6, 1, 0.25): psi = 0.01.
-    tau, p = np.array([1.0, 2.0, 0.5]), np.array([1.8, 3.0, 0.75])
-    assert virtual_plane_error(tau, p, True) == pytest.approx(0.01)
-    assert virtual_plane_error(tau, -p, True) == np.inf
-    # At right angles to the ray x: the squared tangent of the angle between.
-    assert virtual_plane_error(np.array([1.0, 0, 0]), np.array([2.0, 0.2, 0.0]), False) == (
-        pytest.approx(0.01)
-    )
-    # Where the source's plane sees nothing.
-    assert virtual_plane_error(np.array([1.0, 0, 0]), np.array([2.0, 0.0, 0.0]), True) == np.inf
-
-
-def test_the_sources_image_plane_gives_the_same_pose_ahead():
-    p_world = np.array([[-1.0, 4, 0], [1, 4, 0], [0.9, 4.2, 1], [-0.8, 4, 1.1]])
-    T = transform(rot_z(0.1) @ rot_x(0.05), (0.1, -0.2, 0.3))
-    p_head = apply(T, p_world)
-    for axis in ("ray", "y"):
-        assert p3p_checked(p_head, p_world, axis)[0][0] == pytest.approx(T[:3, :3], abs=1e-8)
+def test_eqs_25_and_26_by_hand():
+    # The plane X = 1 is at right angles to the ray x; the point is met at (1, 0.1, 0): psi = 0.01.
+    tau = np.array([1.0, 0, 0])
+    assert virtual_plane_error(tau, np.array([2.0, 0.2, 0.0])) == pytest.approx(0.01)
+    assert virtual_plane_error(tau, np.array([2.0, 0.0, 0.0])) == 0.0  # where Y = 1 sees nothing
+    assert virtual_plane_error(tau, np.array([-2.0, 0.0, 0.0])) == np.inf
 
 
 @first_compiles

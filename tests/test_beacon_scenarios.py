@@ -8,7 +8,13 @@ import pytest
 
 from evaluation.beacon_field import STOPS, in_the_field
 from evaluation.run import RunRequest
-from scenarios import beacon_faults, beacon_parking
+from scenarios import (
+    beacon_calibrate,
+    beacon_faults,
+    beacon_moving,
+    beacon_parking,
+    beacon_repeat,
+)
 from twin.cli import main
 from twin.layout import load_layout
 from twin.recording.tum import read_tum
@@ -26,6 +32,8 @@ def test_a_short_measurement_leaves_poses_in_space_and_a_recording(tmp_path):
     assert not report["complete"] and report["metrics"]["measurements"] > 50
     assert report["metrics"]["mount_error_mm"] < 2.0
     assert report["metrics"]["sigma_filtered_y_mm"] < 0.5
+    for name in ("sigma_azimuth_urad", "sigma_elevation_urad"):  # 73 of a stamp, T0's besides
+        assert 40 < report["metrics"][name] < 200
     (stamps, truth), (_, estimate) = (
         read_tum(tmp_path / f"{name}.tum") for name in ("truth", "estimate")
     )
@@ -42,8 +50,64 @@ def test_trials_with_trouble(tmp_path, monkeypatch):
     monkeypatch.setattr(beacon_faults, "PLACES", 3)
     result = beacon_faults.run(RunRequest(0, tmp_path), load_layout(None, (CALIBRATION,)))
     assert result.complete and result.metrics["trials"] == 90
+    assert result.metrics["turns"] > 90  # in some no false crossing was stamped
     assert result.metrics["wrong_fixes"] == 0.0
     assert result.metrics["fix_availability"] > 0.85
+    stamps, truth = result.trajectories["truth"]
+    times, estimate = result.trajectories["estimate"]
+    assert truth.shape == (result.metrics["turns"], 7) and np.all(np.diff(stamps) > 0)
+    true = truth[np.searchsorted(stamps, times), :3]
+    assert np.abs(estimate[:, :3] - true).max() < 0.03
+
+
+def test_faults_without_a_bound_are_no_right_fixes():
+    """Expected: a fix that no bound can judge counts as wrong."""
+    trial = beacon_faults.Trial(0.0, True, np.zeros(7), np.zeros(7), np.full(3, np.nan))
+    fine = beacon_faults.Trial(0.0, True, np.zeros(7), np.zeros(7), np.array([0.1, 4.9, 0.0]))
+    none = beacon_faults.Trial(0.0, True, np.zeros(7), reason="ambiguous")
+    figures = beacon_faults.metrics([trial, fine, none, fine], 5)
+    assert figures["wrong_fixes"] == 1.0 and figures["fix_availability"] == 0.75
+
+
+def test_a_short_drive(tmp_path):
+    request = RunRequest(0, tmp_path, duration=6.0)
+    result = beacon_moving.run(request, load_layout(None, (CALIBRATION,)))
+    assert not result.complete and result.metrics["fix_availability"] > 0.9
+    assert result.metrics["course_rmse_mm"] < 5.0 and result.metrics["collisions"] == 0.0
+    assert result.trajectories["estimate"][1].shape[1] == 7
+
+
+def test_scatter_of_directions_behind_the_head():
+    """Azimuths about half a turn, one node never seen, one turn missed."""
+    rng = np.random.default_rng(0)
+    angles = np.array([np.pi, 0.1]) + rng.normal(0, [1e-4, 2e-4], (2000, 6, 2))
+    angles[..., 0] = np.remainder(angles[..., 0] + np.pi, 2 * np.pi) - np.pi
+    angles[:, 3] = angles[0, 2] = np.nan
+    scatter = beacon_repeat._scatter_of_directions(angles)
+    assert scatter == pytest.approx([1e-4, 2e-4], rel=0.03)
+    assert np.isnan(beacon_repeat._scatter_of_directions(np.full((3, 6, 2), np.nan))).all()
+
+
+@pytest.mark.slow
+def test_a_few_moves(tmp_path, monkeypatch):
+    monkeypatch.setattr(beacon_parking, "MOVES", 3)
+    result = beacon_parking.run(RunRequest(0, tmp_path), load_layout(None, (CALIBRATION,)))
+    assert result.complete and result.metrics["moves"] == 3
+    assert result.metrics["parking_error_max_mm"] < 2.0
+    compared = result.metrics["distances_compared"]
+    assert compared == 3 or result.metrics["turns_without_source"] > 0
+    assert (tmp_path / "moves.npz").exists()
+
+
+@pytest.mark.slow
+def test_a_short_calibration(tmp_path, monkeypatch):
+    monkeypatch.setattr(beacon_calibrate, "DWELL", 0.5)
+    monkeypatch.setattr(beacon_calibrate, "CALIBRATIONS", 8)
+    result = beacon_calibrate.run(RunRequest(0, tmp_path), load_layout())
+    assert result.complete and result.metrics["calibrations"] == 8
+    assert result.metrics["angles_over_bound"] < 1.8
+    assert result.metrics["mount_error_mm"] < 4.0
+    assert (tmp_path / "beacon_calibration.json").exists()
 
 
 @pytest.mark.parametrize("content", [None, b"{}"])

@@ -137,7 +137,7 @@ class Reflection(Strict):
     node: Name
     shift: Position3  # of the node's image from the node, m
     hides: bool = False  # the direct light is blocked, the mirrored alone arrives
-    share: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0  # of the turns in which it shows
+    share: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0  # of the head's turns that show it
 
 
 class BeaconFaults(Strict):
@@ -145,8 +145,9 @@ class BeaconFaults(Strict):
 
     blocked: tuple[Name, ...] = ()  # nodes to which no light of the head comes
     reflections: tuple[Reflection, ...] = ()
-    # s after which the lot makes another node blocked and another one reflect; 0: never
-    shuffle: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
+    # turns of the head after which the lot makes another node blocked and another one reflect,
+    # besides those above; 0: never
+    shuffle: Annotated[int, Field(ge=0, le=1_000_000)] = 0
 
 
 class Faults(Strict):
@@ -254,6 +255,9 @@ class Layout(Strict):
         for name in (*faults.blocked, *(r.node for r in faults.reflections)):
             if name not in known:
                 raise ValueError(f"world.faults.beacons: no node '{name}'; there are {known}")
+        ill = {*faults.blocked, *(r.node for r in faults.reflections)}
+        if faults.shuffle and len(known) - len(ill) < 2:
+            raise ValueError("world.faults.beacons.shuffle: wants two nodes without a fault")
         return self
 
     @model_validator(mode="after")

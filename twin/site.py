@@ -5,6 +5,7 @@ Poses are x, y, yaw in world (x east, y north), metres and radians. Sizes of mac
 """
 
 import math
+from itertools import combinations
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -65,6 +66,11 @@ class Place(Strict):
     pose: Pose2
 
 
+# Of the photoelectric network: nodes that the head's calibration wants (Liu et al. 2022, Eq. 32), a
+# node's housing (m), and how far off the line of the outermost two one must be, of its length.
+LEAST_NODES, NODE_SIZE, LEAST_WIDTH = 5, 0.05, 0.02
+
+
 class BeaconNode(Strict):
     """A photodiode of the photoelectric network: where it was measured, and where it looks."""
 
@@ -80,7 +86,7 @@ class BeaconNetwork(Strict):
     al. 2022, section 3.1); taken as one standard deviation.
     """
 
-    nodes: Annotated[tuple[BeaconNode, ...], Field(min_length=4, max_length=32)]
+    nodes: Annotated[tuple[BeaconNode, ...], Field(max_length=32)]
     tracker: Position3
     spin_rate: Annotated[float, Field(ge=20.0, le=50.0)] = 30.0  # turns of the head a second
 
@@ -95,6 +101,27 @@ class BeaconNetwork(Strict):
         if twice:
             raise ValueError(f"node {min(twice)}: stands there twice")
         return self
+
+    @model_validator(mode="after")
+    def _places_can_tell_a_pose(self):
+        if len(self.nodes) < LEAST_NODES:
+            raise ValueError(f"{len(self.nodes)} nodes; the head's calibration wants {LEAST_NODES}")
+        pairs = [(math.dist(a.position, b.position), a, b) for a, b in combinations(self.nodes, 2)]
+        nearest, a, b = min(pairs, key=lambda pair: pair[0])
+        if nearest < NODE_SIZE:
+            raise ValueError(f"nodes {a.name} and {b.name}: closer than {NODE_SIZE} m")
+        longest, a, b = max(pairs, key=lambda pair: pair[0])
+        off = [_twice_area(a.position, b.position, n.position) / longest for n in self.nodes]
+        if max(off) < LEAST_WIDTH * longest:
+            raise ValueError("the nodes stand on a line; at least one must stand well off it")
+        return self
+
+
+def _twice_area(a: Position3, b: Position3, c: Position3) -> float:
+    """Of a triangle, m^2."""
+    ab, ac, bc = math.dist(a, b), math.dist(a, c), math.dist(b, c)
+    s = 0.5 * (ab + ac + bc)  # Heron
+    return 2.0 * math.sqrt(max(s * (s - ab) * (s - ac) * (s - bc), 0.0))
 
 
 class Site(Strict):

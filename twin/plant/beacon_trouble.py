@@ -8,8 +8,7 @@ from twin.geometry import Array
 from twin.layout import BeaconFaults, Reflection
 
 # Of an image from its node, m: a mirror within a few decimetres of it; guess
-SHIFT = 0.4
-LEAST_SHIFT = 0.01
+LEAST_SHIFT, SHIFT = 0.001, 0.4
 HIDDEN, SHARE = 0.3, 0.8  # of the reflections that the lot draws; guess
 
 
@@ -23,7 +22,7 @@ class Image:
 
 
 class BeaconTrouble:
-    """The faults of a layout over time.
+    """The faults of a layout, from turn to turn of the head.
 
     Args:
         faults: of the layout.
@@ -33,51 +32,48 @@ class BeaconTrouble:
 
     def __init__(self, faults: BeaconFaults, names: tuple[str, ...], rng: np.random.Generator):
         self._faults, self._names, self._rng = faults, names, rng
-        self.blocked, self.reflections = faults.blocked, faults.reflections
-        self._drawn = 0  # times that the lot was drawn
-        self._tenth = -1  # of a second since the start
-        self._shown: dict[str, bool] = {}  # by node, whether its reflection shows in it
+        self.blocked, self._mirrors = faults.blocked, faults.reflections
+        self.reflections: tuple[Reflection, ...] = ()  # those that show in this turn
+        self.begin(0)
 
-    def images(self, time: float, places: Array) -> list[Image]:
-        """All that may be seen now. `places`: the nodes in world, m. Shape (n, 3)."""
-        if self._faults.shuffle and time >= self._drawn * self._faults.shuffle:
+    def begin(self, turn: int) -> None:
+        """A turn of the head begins: what goes wrong in it.
+
+        Args:
+            turn: how many have begun before.
+        """
+        if self._faults.shuffle and turn % self._faults.shuffle == 0:
             self._draw()
-        blocked = {self._names.index(name) for name in self.blocked}
-        found = []
-        for reflection in self.reflections:
-            node = self._names.index(reflection.node)
-            if reflection.hides:
-                blocked.add(node)
-            if self._shows(time, reflection):
-                found.append(Image(node, places[node] + reflection.shift, False))
-        direct = [Image(i, p, True) for i, p in enumerate(places) if i not in blocked]
-        return direct + found
+        self.reflections = tuple(m for m in self._mirrors if self._shows(m.share))
 
-    def _shows(self, time: float, reflection: Reflection) -> bool:
-        """Whether it is there in this tenth of a second: a mirror trembles."""
-        if reflection.share >= 1.0:
-            return True
-        tenth = int(10 * time)
-        if tenth != self._tenth:
-            self._tenth, self._shown = tenth, {}
-        if reflection.node not in self._shown:
-            self._shown[reflection.node] = bool(self._rng.random() < reflection.share)
-        return self._shown[reflection.node]
+    @property
+    def dark(self) -> frozenset[str]:
+        """Nodes to which no direct light comes."""
+        return frozenset((*self.blocked, *(m.node for m in self._mirrors if m.hides)))
+
+    def images(self, places: Array) -> list[Image]:
+        """All that may be seen in this turn. `places`: the nodes in world, m. Shape (n, 3)."""
+        lit = [i for i, name in enumerate(self._names) if name not in self.dark]
+        direct = [Image(i, places[i], True) for i in lit]
+        mirrored = [(self._names.index(r.node), r.shift) for r in self.reflections]
+        return direct + [Image(i, places[i] + shift, False) for i, shift in mirrored]
+
+    def _shows(self, share: float) -> bool:
+        return share >= 1.0 or bool(self._rng.random() < share)
 
     def _draw(self) -> None:
-        """Another node is blocked, and another one reflects."""
-        rng = self._rng
-        self._drawn += 1
-        self._shown = {}
-        blocked, mirrored = rng.choice(len(self._names), 2, replace=False)
-        self.blocked = (*self._faults.blocked, self._names[blocked])
+        """Another node is blocked, and another one reflects, of those that are sound otherwise."""
+        rng, faults = self._rng, self._faults
+        ill = {*faults.blocked, *(r.node for r in faults.reflections)}
+        blocked, mirrored = rng.choice([n for n in self._names if n not in ill], 2, replace=False)
+        self.blocked = (*faults.blocked, str(blocked))
         direction = rng.standard_normal(3)
         size = np.exp(rng.uniform(np.log(LEAST_SHIFT), np.log(SHIFT)))
         x, y, z = size * direction / np.linalg.norm(direction)
         drawn = Reflection(
-            node=self._names[mirrored],
+            node=str(mirrored),
             shift=(float(x), float(y), float(z)),
             hides=bool(rng.random() < HIDDEN),
             share=SHARE,
         )
-        self.reflections = (*self._faults.reflections, drawn)
+        self._mirrors = (*faults.reflections, drawn)

@@ -9,6 +9,7 @@ models/beacon/README.md.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -33,6 +34,19 @@ HOUSING = 0.03  # m before a diode at which a ray may end: on its own housing
 TRIGGER = 20e-6  # s, 1 sigma, of the vehicle's own stamp of the turn's end; guess
 GROUPS = np.array([1, 1, 1, 0, 1, 0], dtype=np.uint8)  # all that is solid; 3 is collision only
 TURN = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class Ailing:
+    """What went wrong in a turn of the head, by names of nodes: known to the plant alone.
+
+    Attributes:
+        dark: to which no direct light came, by a fault of the layout.
+        false: that stamped a reflected crossing.
+    """
+
+    dark: frozenset[str]
+    false: frozenset[str]
 
 
 class BeaconSensor:
@@ -85,6 +99,8 @@ class BeaconSensor:
         self._turns = 0  # whole turns so far
         self._passes: list[float] = []  # true times at which plane 1 passed T0
         self._events: list[tuple[float, int, int, float]] = []  # time, channel, kind, as stamped
+        self._false: set[str] = set()  # nodes that stamped a reflection in this turn
+        self.ailing = Ailing(frozenset(), frozenset())  # in the turn of the last message
 
     def sample(self, stamp: float, model, data) -> BeaconStamps | None:
         """Take in what happened since the last step; a batch once a turn is over."""
@@ -103,26 +119,40 @@ class BeaconSensor:
     # --- one physics step ------------------------------------------------------------------------
 
     def _advance(self, before, now, model, data) -> None:
-        (t0, T0), (t1, T1) = before, now
+        t0, t1 = before[0], now[0]
         for pulse in self._lamp.between(t0, t1):
             for channel in range(len(self._clocks)):
                 self._note(pulse, channel, SYNC, self._sync)
-        if self.spin.turns(t1) >= self._turns + 1:
-            self._turns += 1
-            passed = _root(lambda t: self.spin.turns(t) - self._turns, t0, t1)
-            self._passes.append(passed)
-            self._events.append((passed, 0, PLANE_1, passed + self._noise(self._crossing)))
-        images = self.trouble.images(t1, data.site_xpos[self._sites])
+        places = data.site_xpos[self._sites]
+        if self.spin.turns(t1) < self._turns + 1:
+            self._sweep(before, now, (t0, t1), places, model, data)
+            return
+        passed = _root(lambda t: self.spin.turns(t) - self._turns - 1, t0, t1)
+        self._sweep(before, now, (t0, passed), places, model, data)
+        self._turns += 1
+        self._passes.append(passed)
+        self._note(passed, 0, PLANE_1, self._crossing)
+        self.ailing, self._false = Ailing(self.trouble.dark, frozenset(self._false)), set()
+        self.trouble.begin(self._turns)
+        self._sweep(before, now, (passed, t1), places, model, data)
+
+    def _sweep(self, before, now, span: tuple[float, float], places: Array, model, data) -> None:
+        """Crossings within a part of a step that lies in one turn; places: of the nodes, (n, 3)."""
+        (t0, T0), (t1, T1) = before, now
+        images = self.trouble.images(places)
         nodes = np.array([image.place for image in images]).reshape(-1, 3)
         ends = [(nodes - T[:3, 3]) @ T[:3, :3] for T in (T0, T1)]
         sides = self._sides(ends[0], t0), self._sides(ends[1], t1)
         for i, plane in np.argwhere(sides[0] * sides[1] < 0).tolist():
-            p0, p1 = ends[0][i].tolist(), ends[1][i].tolist()
+            p0, p1, image = ends[0][i].tolist(), ends[1][i].tolist(), images[i]
             time = self._crossing_time(plane, p0, p1, t0, t1)
-            if time is not None and (
-                not images[i].direct or self._seen(images[i], T1, model, data)
-            ):
-                self._note(time, images[i].node + 1, PLANE_1 + plane, self._crossing)
+            if time is None or not span[0] < time <= span[1]:
+                continue
+            if image.direct and not self._seen(image, T1, model, data):
+                continue
+            stamped = self._note(time, image.node + 1, PLANE_1 + plane, self._crossing)
+            if stamped and not image.direct:
+                self._false.add(self.names[image.node])
 
     def _sides(self, p_head: Array, t: float) -> Array:
         """How far points stand over each plane. Shape (n, 2), m."""
@@ -167,9 +197,12 @@ class BeaconSensor:
 
     # --- stamps ----------------------------------------------------------------------------------
 
-    def _note(self, time: float, channel: int, kind: int, sigma: float) -> None:
-        if self._rng.random() >= self._missed:
-            self._events.append((time, channel, kind, time + self._noise(sigma)))
+    def _note(self, time: float, channel: int, kind: int, sigma: float) -> bool:
+        """Whether the channel did not miss it."""
+        if self._rng.random() < self._missed:
+            return False
+        self._events.append((time, channel, kind, time + self._noise(sigma)))
+        return True
 
     def _noise(self, sigma: float) -> float:
         return sigma * float(self._rng.standard_normal())

@@ -11,7 +11,7 @@ The printed source has slips. What is built here was derived anew and differs in
 - Eq. 21: V U^T may be a reflection: three points are flat, so the third singular vectors have no
   sign of their own; here they complete right-handed triads (`rigid`).
 - Eq. 25: the image plane Y = 1 does not see a node on the X axis. Here the plane stands at right
-  angles to the measured ray; the source's is kept beside it (`p3p`).
+  angles to the measured ray (`p3p`).
 - Eq. 30: writes R for head to world where Eq. 17 has world to head (`calibration`). Its residual
   grows with range; here it is the angle of the crossing.
 

@@ -17,6 +17,7 @@ from twin.stack.estimation.beacons.refine import least_squares, linearise
 CUT = 4.0  # sigmas beyond which a crossing is an outlier
 LOOSE = 25.0  # sigmas allowed before polishing: a triple's noise grows towards the other nodes
 SLACK = 1e-4  # of `quartic.distances`: noise on the danger cylinder is polished away here
+LEAST = 4  # crossings within `CUT` of a pose that is handed back
 KEPT = 6  # poses with different supports that are handed back
 SLACK_FLOOR = 3.0  # on the limits of `upright` before a pose is polished
 MOST_TRIPLES = 120  # of ten nodes; more nodes are no likelier to be all wrong
@@ -120,9 +121,9 @@ def find_poses(nodes, sigma_node, node, plane, theta, normals, A, s, covariance,
                     count = 0
                     break
                 cost, count = _judge(r, sigma, node, plane, cut, support)
-                if count < 6:
+                if count < 6:  # a false node has pulled it; a start is all that it must be
                     break
-            if count < 6 or not upright(Rw, pw, floor, 1.0):
+            if count < LEAST or not upright(Rw, pw, floor, 1.0):
                 continue
             found = _keep(Rw, pw, cost, support, R_out, p_out, cost_out, support_out, found)
         if found and support_out[0].sum() == wanted:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin.geometry import Array, inverse, transform
+from twin.geometry import Array, apply, inverse, transform
 from twin.stack.estimation.beacons.angles import (
     TAU,
     Crossings,
@@ -21,9 +21,15 @@ from twin.stack.estimation.beacons.angles import (
 )
 from twin.stack.estimation.beacons.clocks import GOOD, Aligned, align, spin
 from twin.stack.estimation.beacons.consensus import find_poses, floor_of
-from twin.stack.estimation.beacons.p3p import DANGER, conditioning, p3p_checked, triple_fault
+from twin.stack.estimation.beacons.p3p import (
+    DANGER,
+    conditioning,
+    p3p,
+    triple_fault,
+    virtual_plane_error,
+)
 from twin.stack.estimation.beacons.refine import head_twist, motion
-from twin.stack.estimation.beacons.rigid import cross_matrix
+from twin.stack.estimation.beacons.rigid import cross_matrix, rigid_fit
 from twin.stack.estimation.beacons.settle import Settled, settle
 from twin.stack.estimation.beacons.stamps import (
     PLANE_1,
@@ -215,12 +221,18 @@ class Locator:
         if fault := triple_fault(nodes[:3]):
             return fault
         directions = rays(theta[:, 0], theta[:, 1], self.head)
-        R, t, psi = p3p_checked(directions, nodes)
-        if not np.isfinite(psi[0]):
+        T_head_world, psi = np.eye(4), np.inf
+        for d in p3p(directions[:3], nodes[:3]).distances[0]:
+            if np.isfinite(d).all():
+                T = rigid_fit(nodes[:3], d[:, None] * directions[:3])  # Eqs. 14, 17-22
+                error = virtual_plane_error(directions[3], apply(T, nodes[3]))  # Eqs. 23-26
+                if error < psi:
+                    T_head_world, psi = T, error
+        if not np.isfinite(psi):
             return NoFix("no solution", "no pose with the fourth node ahead")
-        if conditioning(nodes[:3] @ R[0].T + t[0]) < DANGER:
+        if conditioning(apply(T_head_world, nodes[:3])) < DANGER:
             return NoFix("danger cylinder", "the head stands on the cylinder through three nodes")
-        return inverse(transform(R[0], t[0]))
+        return inverse(T_head_world)  # Eqs. 27, 28
 
     def _four_fault(self, stamps: StampBatch, four: tuple[str, ...]) -> NoFix | None:
         for name in four:

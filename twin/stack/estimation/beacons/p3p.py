@@ -72,14 +72,12 @@ def p3p(rays: Array, p_world: Array) -> Poses:
     return Poses(*_batch(rays, nodes))
 
 
-def p3p_checked(rays: Array, p_world: Array, axis: str = "ray") -> tuple[Array, Array, Array]:
+def p3p_checked(rays: Array, p_world: Array) -> tuple[Array, Array, Array]:
     """P3P of the first three nodes; the fourth picks the solution (Eqs. 23-26).
 
     Args:
         rays: directions in head. Shape (n, 4, 3).
         p_world: nodes. Shape (n, 4, 3) or (4, 3).
-        axis: "ray" for an image plane at right angles to the fourth ray, "y" for the source's Y = 1
-            (Eq. 25), which knows no node near or behind the plane Y = 0.
 
     Returns:
         R (n, 3, 3) and t (n, 3) of T_head_world, NaN where there is none; error psi (n,) of Eq. 26.
@@ -88,7 +86,7 @@ def p3p_checked(rays: Array, p_world: Array, axis: str = "ray") -> tuple[Array, 
     nodes = np.ascontiguousarray(np.reshape(p_world, (-1, 4, 3)), dtype=np.float64)
     if len(nodes) not in (1, len(rays)):
         raise ValueError(f"p3p: {len(rays)} sets of rays, {len(nodes)} sets of nodes")
-    return _checked(rays, nodes, axis == "y")
+    return _checked(rays, nodes)
 
 
 def triple_fault(p_world: Array) -> NoFix | None:
@@ -203,12 +201,17 @@ def _batch(rays, nodes):
 
 
 @njit(cache=True)
-def virtual_plane_error(tau, p, along_y):
-    """Eq. 26: squared distance of ray and point on the image plane; inf if one is behind it."""
-    if along_y:
-        if tau[1] == 0.0 or p[1] == 0.0 or tau[1] * p[1] < 0.0:
-            return np.inf
-        return (tau[0] / tau[1] - p[0] / p[1]) ** 2 + (tau[2] / tau[1] - p[2] / p[1]) ** 2
+def virtual_plane_error(tau, p):
+    """Eqs. 25, 26: squared distance of ray and point on the virtual image plane.
+
+    Args:
+        tau: unit ray in head. Shape (3,).
+        p: point in head, m. Shape (3,).
+
+    Returns:
+        Without unit: the plane stands at right angles to the ray at distance 1 (the source's is
+        Y = 1, which does not see a node on the X axis). Inf for a point behind the head.
+    """
     ahead = tau[0] * p[0] + tau[1] * p[1] + tau[2] * p[2]
     if not ahead > 0.0:
         return np.inf
@@ -217,7 +220,7 @@ def virtual_plane_error(tau, p, along_y):
 
 
 @njit(cache=True)
-def _checked(rays, nodes, along_y):
+def _checked(rays, nodes):
     total = len(rays)
     R_best, t_best = np.full((total, 3, 3), np.nan), np.full((total, 3), np.nan)
     psi_best = np.full(total, np.inf)
@@ -230,7 +233,7 @@ def _checked(rays, nodes, along_y):
         for k in range(solve_triple(f[:3], P[:3], slack, R, t, d, roots)):
             for i in range(3):  # Eq. 24
                 p[i] = R[k, i, 0] * P[3, 0] + R[k, i, 1] * P[3, 1] + R[k, i, 2] * P[3, 2] + t[k, i]
-            psi = virtual_plane_error(f[3], p, along_y)
+            psi = virtual_plane_error(f[3], p)
             if psi < psi_best[n]:
                 psi_best[n] = psi
                 copy_to(R[k], R_best[n], 3)

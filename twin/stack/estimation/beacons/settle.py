@@ -1,9 +1,11 @@
 """Which nodes to trust: the pose stands only if no other choice of the culprit explains the data.
 
-A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, every
-single node, then every pair, is tried as the culprit; the pose is given only if all choices that
-leave an acceptable rest lead to the same place. Rejecting the crossing with the largest residual,
-as is usual, picks the wrong culprit in about one of a hundred small reflections.
+A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, nodes that a
+plane met twice, which are beside a mirror for sure, are left out; if there are none, every single
+node, then every pair, is tried as the culprit. The pose is given only if all choices that leave an
+acceptable rest, and a vehicle that stands on the floor, lead to the same place. Rejecting the
+crossing with the largest residual, as is usual, picks the wrong culprit in about one of a hundred
+small reflections.
 """
 
 from dataclasses import dataclass
@@ -20,12 +22,19 @@ from twin.stack.estimation.beacons.refine import (
     least_squares,
     linearise,
 )
+from twin.stack.estimation.beacons.rigid import cross_matrix
 from twin.stack.estimation.beacons.stamps import NoFix
 
 LEAST_FREEDOM = 2  # crossings beyond the six that make a pose
 LEAST_NODES = 4
 Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 refused
-BLOCK_LIMIT = 13.8  # chi-square of two degrees that a node may cost: one in 1000
+# Chi-square of two degrees that a node may cost: one in 1000; of five nodes one in 250. Four good
+# ones and one that is off by just what passes here and pulls the pose five sigma are the worst.
+BLOCK_LIMIT, BLOCK_LIMIT_OF_FIVE = 13.8, 11.0
+REFUTED = 13.8  # chi-square beyond the best choice's at which another one is out: one in 1000
+# m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma; guess: a head
+# is bolted on no better
+USUAL = np.array([0.003, 0.003, 0.003])
 AGREE = 3.0  # sigmas by which positions of different culprits may differ
 TWINS = 60.0  # sigmas between two crossings of a plane below which either may be the true one
 MOST_READINGS = 8  # choices among such crossings that are tried
@@ -44,10 +53,12 @@ class Settled:
     covariance: Array
     blocks: Array
 
-    def acceptable(self) -> bool:
-        """Whether the residuals as a whole are those of the noise."""
-        freedom = len(self.rows) - 6
-        return freedom > 0 and self.chi_square < chi_square_limit(freedom, Z_LIMIT)
+    def acceptable(self, strict: bool) -> bool:
+        """Whether the residuals as a whole are those of the noise; strictly, each node's too."""
+        limit = chi_square_limit(len(self.rows) - 6, Z_LIMIT)
+        five = np.count_nonzero(self.blocks) == LEAST_NODES + 1
+        each = BLOCK_LIMIT_OF_FIVE if five else BLOCK_LIMIT
+        return self.chi_square < limit and (not strict or self.blocks.max() < each)
 
 
 def settle(
@@ -63,34 +74,80 @@ def settle(
     """
     node = data[2]
     readings = _readings(starts[0], data, covariance)
-    trusted = np.unique(node).tolist()
     if fault := _redundancy(readings[0], node):
         return fault
-    agreeing = []
     apart = _apart(starts)
-    for start, rows in product(apart, readings):
-        fitted = _fitted(start, rows, data, covariance, floor)
-        if fitted is not None and fitted.acceptable() and fitted.blocks.max() < BLOCK_LIMIT:
-            agreeing.append(fitted)
+
+    def fits(culprits: tuple[int, ...], strict: bool, least: int = LEAST_FREEDOM) -> list[Settled]:
+        found = []
+        for start, rows in product(apart, readings):
+            rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
+            if len(rest) - 6 < least or _redundancy(rest, node) is not None:
+                continue
+            fitted = _fitted(start, rest, data, covariance, floor)
+            if fitted is not None and fitted.acceptable(strict):
+                found.append(fitted)
+        return found
+
+    agreeing = fits((), True)
+    if agreeing and _one_place(agreeing):
+        return _best(agreeing)
+    if doubled := _doubled(node, data[3]):
+        # Beside a mirror, for sure. The others can do without it, if they check one another.
+        agreeing = fits(doubled, True) or agreeing
+    trusted = np.unique(node).tolist()
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
             break
         for culprits in combinations(trusted, count):
-            for start, rows in product(apart, readings):
-                rest = rows[~np.isin(node[rows], culprits)]
-                # What is left must check itself better than those left out could check it.
-                if len(rest) - 6 >= LEAST_FREEDOM * count and _redundancy(rest, node) is None:
-                    fitted = _fitted(start, rest, data, covariance, floor)
-                    if fitted is not None and fitted.acceptable():
-                        agreeing.append(fitted)
+            # What is left must check itself better than those left out could check it.
+            agreeing += fits(culprits, False, LEAST_FREEDOM * count)
     if agreeing:
-        best = min(agreeing, key=lambda fitted: fitted.chi_square)
-        if all(_same_place(best, other) for other in agreeing):
-            return best
+        agreeing = _plausible(agreeing, floor)
+        if _one_place(agreeing):
+            return _best(agreeing)
         return NoFix("ambiguous", "which crossings are reflections cannot be told")
     if len(trusted) == LEAST_NODES:
         return NoFix("no redundancy", f"{LEAST_NODES} nodes, and they disagree")
     return NoFix("residuals", "no choice of one or two false nodes leaves the others in agreement")
+
+
+def _doubled(node: NDArray[np.int64], plane: NDArray[np.int64]) -> tuple[int, ...]:
+    """Nodes of which a plane has more than one crossing."""
+    pairs, counts = np.unique(2 * node + plane, return_counts=True)
+    return tuple(np.unique(pairs[counts > 1] // 2).tolist())
+
+
+def _best(fits: list[Settled]) -> Settled:
+    return min(fits, key=lambda fitted: fitted.chi_square)
+
+
+def _plausible(fits: list[Settled], floor: Array) -> list[Settled]:
+    """Those that are not far less likely than the best, by residuals and by how they stand."""
+    costs = [fitted.chi_square + standing(fitted.R, fitted.p, fitted.covariance, floor)
+             for fitted in fits]  # fmt: skip
+    return [f for f, cost in zip(fits, costs, strict=True) if cost < min(costs) + REFUTED]
+
+
+def standing(R: Array, p: Array, covariance: Array, floor: Array) -> float:
+    """Chi-square of the base's height over the floor and of its tilt; 0 if it need not stand.
+
+    Nothing of this goes into a pose: it only helps to tell which pose is right.
+
+    Args:
+        R, p: of T_world_head, m. Shapes (3, 3), (3,).
+        covariance: of shift in world and turn in head axes, m and rad. Shape (6, 6).
+        floor: of `consensus.floor_of`. Shape (8,).
+    """
+    up, lever = floor[:3], floor[3:6]
+    if not np.isfinite(floor[7]):
+        return 0.0
+    r = np.array([p[2] + R[2] @ lever, *(R @ up)[:2]])
+    J = np.zeros((3, 6))
+    J[0, 2] = 1.0
+    J[0, 3:] = -(R @ cross_matrix(lever))[2]
+    J[1:, 3:] = -(R @ cross_matrix(up))[:2]
+    return float(r @ np.linalg.solve(J @ covariance @ J.T + np.diag(USUAL**2), r))
 
 
 def _fitted(start, rows, data, covariance: Array, floor: Array) -> Settled | None:
@@ -112,18 +169,19 @@ def _readings(start, data, covariance: Array) -> list[NDArray[np.int64]]:
     might be as well.
     """
     nodes, _, node, plane, theta, normals, A, s = data
-    pairs = 2 * node + plane
-    rows = np.arange(len(node))
-    if len(np.unique(pairs)) == len(rows):
+    rows, met = np.arange(len(node)), {}
+    for row, pair in enumerate((2 * node + plane).tolist()):
+        met.setdefault(pair, []).append(row)
+    if len(met) == len(rows):
         return [rows]
     r, J = np.empty(len(rows)), np.empty((len(rows), 6))
     linearise(start[0], start[1], rows, nodes, node, plane, theta, normals, A, s, r, J)
-    options = []
-    for pair in np.unique(pairs):
-        here = np.nonzero(pairs == pair)[0]
-        here = here[np.argsort(np.abs(r[here]))]
-        near = np.abs(r[here] - r[here[0]]) < TWINS * np.sqrt(covariance[here[0], here[0]])
-        options.append(here[near].tolist())
+    off, options = r.tolist(), []
+    for here in met.values():
+        first = min(here, key=lambda row: abs(off[row]))
+        limit = TWINS * float(covariance[first, first]) ** 0.5
+        near = [row for row in here if abs(off[row] - off[first]) < limit]
+        options.append(sorted(near, key=lambda row: abs(off[row])))
     return [np.array(choice) for choice in islice(product(*options), MOST_READINGS)]
 
 
@@ -132,6 +190,12 @@ def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | Non
     if count < LEAST_NODES or len(rows) < 6 + LEAST_FREEDOM:
         return NoFix("no redundancy", f"{len(rows)} crossings of {count} nodes, wanted 8 of 4")
     return None
+
+
+def _one_place(fits: list[Settled]) -> bool:
+    """Whether the best one's place is that of all."""
+    best = _best(fits)
+    return all(_same_place(best, other) for other in fits)
 
 
 def _same_place(a: Settled, b: Settled) -> bool:
