@@ -38,6 +38,7 @@ class LayerOptions:
     drawn: float = 0.12  # m around what the map shows that belong to it: errors of pose and lidar
     moving: float = 0.20  # m likewise, for what may move
     late: float = 0.5  # s: older readings are left out
+    memory: float = 60.0  # s after which ground that was looked at may hold something again
     edge: float = 0.02  # rad of the lidar's view within which a thing may be cut off
 
 
@@ -92,7 +93,8 @@ class ObstacleLayer:
         self.lidar = OccupancyGrid(np.asarray(origin, dtype=float), resolution, blank)
         self.depth = OccupancyGrid(np.asarray(origin, dtype=float), resolution, blank.copy())
         self._shared = np.zeros((h, w), dtype=bool)
-        self.looked = np.zeros((h, w), dtype=bool)  # where the camera has looked, or it has stood
+        # When the camera last looked there, or the vehicle last stood there, s.
+        self.looked_at = np.full((h, w), -np.inf, dtype=np.float32)
 
     # --- readings --------------------------------------------------------------------------------
 
@@ -180,8 +182,10 @@ class ObstacleLayer:
         fault = self._insert(self.depth, scan, kept, place, self._depth_model, clear)
         if fault is None:
             self._fill(pose, self._solid.find(frame.depth_mm), scan.stamp)
-            self.looked |= self.depth.log_odds != 0.0
-            self._stood(pose)
+            ends = self._points(place, beam_angles(scan), np.maximum(clear, 0.0))
+            seen = self._filled(np.vstack([place[:2], ends])) & (self.depth.log_odds != 0.0)
+            seen |= self._filled(np.array(rectangle(*pose, *FOOTPRINT)))
+            self.looked_at[seen] = frame.stamp
         return fault
 
     def _fill(self, pose: Array, points_base: Array, stamp: float) -> None:
@@ -196,14 +200,12 @@ class ObstacleLayer:
         raised = np.minimum(self.depth.log_odds[i, j] + self.options.depth_hit, 0.85)
         self.depth.log_odds[i, j] = np.maximum(self.depth.log_odds[i, j], raised)
 
-    def _stood(self, pose: Array) -> None:
-        """Where the vehicle stands there is nothing."""
-        x, y, yaw = pose
-        corners = np.array(rectangle(x, y, yaw, *FOOTPRINT))
-        cells = (corners - self.lidar.origin) / self.lidar.resolution - 0.5
-        mask = np.zeros(self.looked.shape, dtype=np.uint8)
-        cv2.fillConvexPoly(mask, np.rint(cells).astype(np.int32), 1)
-        self.looked |= mask > 0
+    def _filled(self, outline: Array) -> NDArray[np.bool_]:
+        """Cells within an outline in world, (k, 2). Shape (h, w)."""
+        cells = (outline - self.lidar.origin) / self.lidar.resolution - 0.5
+        mask = np.zeros(self.looked_at.shape, dtype=np.uint8)
+        cv2.fillPoly(mask, [np.rint(cells).astype(np.int32)], 1)
+        return mask > 0
 
     @staticmethod
     def _insert(grid: OccupancyGrid, scan: LidarScan, ranges, place, model, clear) -> str | None:
@@ -232,6 +234,11 @@ class ObstacleLayer:
     # --- what there is ---------------------------------------------------------------------------
 
     @property
+    def looked(self) -> NDArray[np.bool_]:
+        """Where the camera has looked, or the vehicle stood, not long ago. Shape (h, w)."""
+        return self.looked_at > max(self._newest.values()) - self.options.memory
+
+    @property
     def live(self) -> NDArray[np.bool_]:
         """Cells that hold something which the map does not show. Shape (h, w)."""
         return (self.lidar.occupied | self.depth.occupied) & self._off_map
@@ -252,4 +259,5 @@ class ObstacleLayer:
         far = x * x + y * y > keep * keep
         self.lidar.log_odds[...] = 0.0
         self.depth.log_odds[far] = 0.0
-        self._shared[far] = self.looked[far] = False
+        self._shared[far] = False
+        self.looked_at[far] = -np.inf

@@ -22,12 +22,13 @@ from twin.stack.planning.clearance import (
     room_to_turn,
     standing,
 )
+from twin.stack.planning.look_first import LookFirst
 from twin.stack.planning.recovery import Recovery, Stage
 from twin.stack.planning.route import Route
 from twin.stack.planning.surroundings import Surroundings
 from twin.stack.planning.teb import Teb, TebPlan
 from twin.stack.planning.tracking import TrajectoryFollower, pose_error
-from twin.stack.planning.viewpoint import ViewOptions, over_known, unknown_on_way, viewpoint
+from twin.stack.planning.viewpoint import over_known
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class NavigatorOptions:
     tries: int = 4  # to come within it
     no_progress: float = 15.0  # s without coming nearer until recovery
     recoveries: int = 4  # of one goal, after which it is given up
+    dark: float = 0.6  # s more before unknown ground: with less it creeps on over its edge
+    looking: float = 0.3  # s that it stands where it looks from: the pictures come late
     keep: float = 1.2  # m within which recovery forgets nothing: out of the camera's picture
 
 
@@ -180,6 +183,7 @@ class Navigator:
         trajectory = self.follower.trajectory
         self._brake = False
         if trajectory is None:
+            self._dark = False
             return
         here, _ = self.follower.reference
         near = self._beside(now, trajectory.nodes[:, :2], here)
@@ -197,7 +201,9 @@ class Navigator:
         moving = meet < stop + o.caution or threat < stop
         if moving:
             self._wait_until = now + o.wait
-        self._brake = touch < stop or moving
+        within = stop + o.dark * (2 if self._dark else 1)  # no braking on and off
+        self._dark = self.look.time_left(trajectory, phase, here, within) < math.inf
+        self._brake = touch < stop or moving or self._dark
         if min(touch, meet) == math.inf:
             return
         self._due, self._in_the_way = now, True
@@ -207,10 +213,12 @@ class Navigator:
         o = self.options
         if self._ended is None:
             self._ended = now
-        if self._views and self._ends_at_aim:
-            self.follower.stop()
-            self._views.pop(0)
-            self._next_aim()
+        if self.look.views and self._ends_at_aim:
+            if now - self._ended > o.looking:
+                self.follower.stop()
+                self.look.views.pop(0)
+                self._next_aim()
+                self._due = now
             return
         off = pose_error(self._pose_goal, pose)
         away, turn = float(np.hypot(*off[:2])), abs(float(off[2]))
@@ -239,54 +247,38 @@ class Navigator:
             return True
         start, speed = self._start(pose, velocity)
         reason = self._find_path(now, start)
-        if not (reason or moving_on or self._viewed) and self._must_look(start):
-            reason = self._find_path(now, start)
         if not reason:
             # From here on: the band's horizon must not be used up by the way that lies behind.
             near = self._beside(now, self.route.left(start), start)
             plan = self._band(now, start, speed, near, None if moving_on else o.squeeze)
             reason = plan.reason
             if plan.trajectory is not None:
+                if not moving_on and self.look.before(plan.trajectory, start):
+                    self._next_aim()
+                    return self._plan(now, pose, velocity)
                 if self.follower.trajectory is not plan.trajectory:
                     self._take(now, plan.trajectory, start)
                 self._in_the_way = False
                 self._look_ahead(now)
                 self._due, self._blocked_since, self._ended = now + o.band_period, None, None
                 return True
-        if self._views:
-            self._views = []
+        if self.look.views:
+            self.look.give_up(start)
             self._next_aim()
             return self._plan(now, pose, velocity)
         self._without_plan(now, pose, reason)
         return False
 
-    def _must_look(self, start: Array) -> bool:
-        """Whether the way begins over ground that the camera must look at first; once a goal."""
-        around, options = self.surroundings, ViewOptions()
-        costs, known = around.costs(), around.known
-        dark = unknown_on_way(costs, known, self.route.left(start), options)
-        if dark is None:
-            return False
-        self._viewed = True
-        view = viewpoint(costs, known, start, dark, self.footprint, options)
-        if view is None:
-            return False
-        # First there as it is headed now, then turned: there is room to turn.
-        self._views = [np.array([*view[:2], start[2]]), view]
-        self._next_aim()
-        self.events.append(f"looks at the floor at ({dark[0]:.2f}, {dark[1]:.2f}) first")
-        return True
-
     def _next_aim(self) -> None:
         """On by a new way."""
-        self.route = Route()
+        self.route, self._ends_at_aim = Route(), False
         self.teb.reset()
-        self._due, self._ended = -math.inf, None
+        self._ended, self._progress = None, (-math.inf, math.inf)
 
     @property
     def _aim(self) -> Array:
         """Where it is heading now: the goal, or a place to look from on the way there."""
-        return self._views[0] if self._views else self._pose_goal
+        return self.look.views[0] if self.look.views else self._pose_goal
 
     def _band(
         self, now: float, start: Array, speed: Array, near: Array, squeeze: float | None
@@ -298,7 +290,7 @@ class Navigator:
             plan = self.teb.plan(now, start, speed, way, yaw, np.vstack([near, unseen]))
             if plan.trajectory is not None:
                 return plan
-            if self._views:
+            if self.look.views:
                 return plan  # it was to be seen first: not worth a risk
             self.teb.last = last  # to start from all the same
         plan = self.teb.plan(now, start, speed, way, yaw, near)
@@ -326,8 +318,8 @@ class Navigator:
         """Keep the way or find a new one; why there is none, in one line."""
         around, aim = self.surroundings, self._aim
         costs = around.costs_with_lanes(now)
-        if self._views:
-            costs = over_known(costs, around.known)
+        if self.look.views:
+            costs = over_known(costs, around.known, start)
         blocked, reason = self.route.renew(
             now, start, aim, costs, around.unknown_ok, around.approach(aim)
         )
@@ -407,12 +399,15 @@ class Navigator:
         self.events.append(f"{self._goal.name}: {outcome}")
         self.follower.stop()
 
+    def _say(self, line: str) -> None:
+        self.events.append(line)
+
     def _reset(self) -> None:
         self.route = Route()
         self._due = -math.inf
         self._brake = self._in_the_way = self._ends_at_aim = self._recovered = False
-        self._views: list[Array] = []
-        self._viewed = False  # for this goal
+        self._dark = False  # unknown ground ahead
+        self.look = LookFirst(self.surroundings, self.footprint, self._say)
         self._fresh, self._tries = False, 0
         self._blocked_since: float | None = None
         self._ended: float | None = None

@@ -1,6 +1,6 @@
 """What stands and moves about the vehicle: the map, with what its sensors see now on top of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from twin.stack.estimation.occupancy_grid import OCCUPIED
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning.clearance import RADIUS, Footprint, no_obstacles, room
 from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
+from twin.stack.planning.sight import SightOptions, first_unknown
+from twin.stack.planning.teb_trajectory import Trajectory
 
 LANE = 240  # cost of a cell that something that moves will pass: nearly closed
 APART = 0.01  # m that the vehicle surely is away from anything: it stands where it stands
@@ -29,6 +31,7 @@ class SurroundingsOptions:
     beside: float = 1.0  # m beside the way within which obstacles count
     about: float = 2.0  # m about a vehicle that stands, likewise
     unseen: float = 0.8  # m about the vehicle within which ground never looked at is avoided
+    sight: SightOptions = field(default_factory=SightOptions)
 
 
 class Surroundings:
@@ -143,6 +146,20 @@ class Surroundings:
     def known(self) -> NDArray[np.bool_]:
         """Cells that the camera looked at, or that hold what is drawn or seen. Shape (h, w)."""
         return self.layer.looked | self.layer.live | self._map.occupied
+
+    def unknown_ahead(
+        self, trajectory: Trajectory, phase: float, within: float, inset: float
+    ) -> tuple[float, Array | None]:
+        """When a band covers ground that nobody will have looked at, and where: `first_unknown`.
+
+        The vehicle's rim, `inset` m wide, does not count.
+        """
+        here = self._map
+        solid = here.occupied | self.layer.live
+        return first_unknown(
+            trajectory, phase, within, self.layer.looked | solid, solid, here.resolution,
+            here.origin, self._footprint.half - inset, self.options.sight,
+        )  # fmt: skip
 
     def unseen(self, pose: Array) -> Array:
         """Rows as in `clearance` of ground near a pose that might hold what the lidar misses.

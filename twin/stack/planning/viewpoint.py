@@ -1,9 +1,5 @@
-"""Where to stand to see ground that was never looked at, before driving over it.
-
-The lidar misses what is low, and the camera sees the floor only some way ahead. A vehicle that is
-to set out over ground beside or behind it, which it never had before it, may run into a low box.
-There is a place from which that ground can be seen: some way off, facing it.
-"""
+"""Where to stand to see ground that was never looked at, before driving over it: some way off,
+facing it, on ground that is known."""
 
 from dataclasses import dataclass
 
@@ -15,43 +11,18 @@ from twin.geometry import Array
 from twin.stack.planning.clearance import Footprint
 from twin.stack.planning.costmap import INSCRIBED, LETHAL, Costmap
 
-NARROW = 0.20  # m about the vehicle's middle that must have been looked at: half its width and less
-DEAR = 240  # cost of ground never looked at on the way there: nearly closed
+NARROW = 0.20  # m about the vehicle's middle that must be known: half its width and less
 
 
 @dataclass(frozen=True)
 class ViewOptions:
     """Not tuned, but where a reason is given."""
 
-    begins: float = 0.15  # m of the way in which the vehicle still stands on its own ground
-    ends: float = 1.2  # m of the way to be looked at before it sets out
     # m from the vehicle's middle to what is looked at: the camera, 0.34 m ahead of it, sees the
     # floor from 1.05 m on, and marks it to 2.5 m.
-    distances: tuple[float, ...] = (1.5, 1.8, 2.2)
+    distances: tuple[float, ...] = (1.6, 1.9, 2.2)
     bearings: int = 24  # tried at each distance
     farthest: float = 3.0  # m from the vehicle: farther off it is not worth the time
-
-
-def unknown_on_way(
-    costs: Costmap, known: NDArray[np.bool_], way: Array, options: ViewOptions
-) -> Array | None:
-    """First point near the beginning of a way about which the ground was never looked at.
-
-    Args:
-        costs: of the floor, for its grid.
-        known: cells that were looked at, or hold what is drawn or seen. Shape (h, w).
-        way: points in world from where the vehicle stands. Shape (n, 2).
-        options: how much of it counts.
-    """
-    if len(way) == 0:
-        return None
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-    dark = _grown(~known, NARROW / costs.resolution)
-    for point in way[(s >= options.begins) & (s <= options.ends)]:
-        cell = costs.cell(point)
-        if cell is not None and dark[cell]:
-            return point
-    return None
 
 
 def viewpoint(
@@ -66,8 +37,8 @@ def viewpoint(
 
     Args:
         costs: of the floor, inflated.
-        known: as in `unknown_on_way`.
-        start: x, y (yaw) in world of the vehicle.
+        known: cells that were looked at, or hold what is drawn or seen. Shape (h, w).
+        start: x, y (yaw) in world of the vehicle; over known ground it must get there.
         point: to be seen, x, y in world.
         footprint: of the vehicle.
         options: from how far it is looked at.
@@ -76,6 +47,8 @@ def viewpoint(
         x, y, yaw in world; None if there is none near by.
     """
     dark = _grown(~known, footprint.circumscribed / costs.resolution)
+    within = _reached(costs, known, start)
+    turned = Footprint(2 * footprint.circumscribed, 2 * footprint.circumscribed)
     best, least = None, options.farthest
     for distance in options.distances:
         for bearing in np.linspace(-np.pi, np.pi, options.bearings, endpoint=False):
@@ -83,20 +56,32 @@ def viewpoint(
             middle = point - distance * ahead
             away = float(np.hypot(*(middle - start[:2])))
             cell = costs.cell(middle)
-            if away >= least or cell is None or costs.cells[cell] >= INSCRIBED or dark[cell]:
+            if away >= least or cell is None or dark[cell] or not within[cell]:
                 continue
             pose = np.array([*middle, bearing])
-            turned = Footprint(2 * footprint.circumscribed, 2 * footprint.circumscribed)
             if _in_sight(costs, middle, point) and costs.fits(pose, turned):
                 best, least = pose, away
     return best
 
 
-def over_known(costs: Costmap, known: NDArray[np.bool_]) -> Costmap:
-    """The same floor with what was never looked at next to closed."""
+def over_known(costs: Costmap, known: NDArray[np.bool_], start: Array) -> Costmap:
+    """The same floor where what the vehicle does not know is closed, but for where it stands."""
     cells = costs.cells.copy()
-    cells[_grown(~known, NARROW / costs.resolution) & (cells < DEAR)] = DEAR
+    cells[~_reached(costs, known, start) & (cells < INSCRIBED)] = INSCRIBED
     return Costmap(cells, costs.resolution, costs.origin)
+
+
+def _reached(costs: Costmap, known: NDArray[np.bool_], start: Array) -> NDArray[np.bool_]:
+    """Cells that the vehicle's middle can come to over known ground."""
+    free = ~_grown(~known, NARROW / costs.resolution) & (costs.cells < INSCRIBED)
+    here = costs.cell(start)
+    if here is None:
+        return np.zeros_like(free)
+    size = round(NARROW / costs.resolution)
+    i, j = here
+    free[max(i - size, 0) : i + size + 1, max(j - size, 0) : j + size + 1] = True  # it stands there
+    _, labels = cv2.connectedComponents(free.astype(np.uint8))
+    return np.asarray(labels) == labels[here]
 
 
 def _grown(cells: NDArray[np.bool_], by: float) -> NDArray[np.bool_]:
