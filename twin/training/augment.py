@@ -1,4 +1,5 @@
-"""Crops for training: turned, scaled, lit, noisy, covered, re-grounded, four in one (mosaic)."""
+"""Crops for training: turned, mirrored, scaled, lit, noisy, covered, on another ground, four in
+one (mosaic)."""
 
 from dataclasses import dataclass
 
@@ -85,6 +86,8 @@ class Augmenter:
         scale = region.scale * float(np.exp(rng.uniform(*np.log(ZOOM))))
         angle = np.radians(rng.uniform(-TURN_DEG, TURN_DEG))
         A = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        if rng.random() < 0.5:  # mirrored: the parts are their own mirror images, the lamps are not
+            A[:, 0] = -A[:, 0]
         to = size / 2 + rng.uniform(-OFF_CENTRE, OFF_CENTRE, 2) * size
         M = np.column_stack([A, to - A @ centre])
         image = cv2.warpAffine(

@@ -1,4 +1,4 @@
-"""Random gratings and shades behind the parts of a crop: belts are many, parts are few."""
+"""Random colours, gratings and shades behind the parts of a crop: belts are many, parts are few."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,8 @@ from twin.geometry import Array
 BANK, SIDE = 64, 256  # patterns kept, and their side, px
 PERIOD = (3.0, 40.0)  # px of a wave
 STRENGTH = 0.35  # of a pattern at most
-SHARE = 0.5  # of the crops
+SHARE = 0.6  # of the crops
+BRIGHTNESS, HUE = 0.4, 0.25  # sigmas of the ground's brightness and colours, natural logarithm
 SHADE = 0.35  # light falls off by up to this over a crop, on parts and belt alike
 
 
@@ -39,12 +40,13 @@ class Backdrop:
         n = len(image)
         u, v = rng.integers(0, SIDE - n + 1, 2)
         pattern = self._patterns[rng.integers(BANK), v : v + n, u : u + n]
-        factor = 1.0 + np.float32(rng.uniform(0, STRENGTH)) * pattern
+        colour = np.exp(rng.normal(0, BRIGHTNESS) + rng.normal(0, HUE, 3)).astype(np.float32)
+        factor = (1.0 + np.float32(rng.uniform(0, STRENGTH)) * pattern)[:, :, None] * colour
         for hull in hulls:
-            cv2.fillConvexPoly(factor, hull.round().astype(np.int32), 1.0)
+            cv2.fillConvexPoly(factor, hull.round().astype(np.int32), (1.0, 1.0, 1.0))
         corners = rng.uniform(1 - SHADE, 1 + SHADE, (2, 2)).astype(np.float32)
-        factor = factor * cv2.resize(corners, (n, n), interpolation=cv2.INTER_LINEAR)
-        lit = image * factor[:, :, None]
+        shade = np.asarray(cv2.resize(corners, (n, n), interpolation=cv2.INTER_LINEAR))
+        lit = image * (factor * shade[:, :, None])
         return np.asarray(np.clip(lit, 0, 255), np.uint8)
 
 
