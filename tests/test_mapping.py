@@ -35,8 +35,9 @@ def test_obstacles_stand_beside_the_route_and_are_of_all_kinds(seed):
     layout = with_obstacles(LAYOUT, np.random.default_rng(seed))
     obstacles = layout.world.faults.obstacles
     kinds = Counter(o.kind for o in obstacles)
-    assert len(obstacles) == 12 and all(kinds[kind] == 1 for kind in LIDAR_MISSES)
-    assert sum(kinds[kind] for kind in BOTH_SEE) == 8
+    assert len(obstacles) == 12 and all(kinds[kind] in (1, 2) for kind in LIDAR_MISSES)
+    assert sum(kinds[kind] for kind in LIDAR_MISSES) == 6  # half, as the requirement has it
+    assert sum(kinds[kind] for kind in BOTH_SEE) == 6
     boxes = [rectangle(*o.pose, *OUTLINE[o.kind]) for o in obstacles]
     built = [box for boxes_ in machines(layout.site).values() for box in boxes_]
     for i, box in enumerate(boxes):
