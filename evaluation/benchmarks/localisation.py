@@ -53,7 +53,8 @@ def finer(field: LikelihoodField) -> LikelihoodField:
     """The field with its distances interpolated as finely as the stack's table."""
     k, (h, w) = MODEL.finer, field.distances.shape
     fine = copy.copy(field)
-    fine.distances = cv2.resize(field.distances, (k * w, k * h), interpolation=cv2.INTER_LINEAR)
+    finer_cells = cv2.resize(field.distances, (k * w, k * h), interpolation=cv2.INTER_LINEAR)
+    fine.distances = np.asarray(finer_cells, dtype=np.float32)
     fine.resolution = field.resolution / k
     return fine
 
