@@ -26,7 +26,11 @@ lint: $(VENV)/.dev  ## Style, types, layers
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-bench: $(VENV)/.runtime  ## Time of each part of the loop
+bench: $(VENV)/.dev  ## Time of each part against its peers, and of the loop: ten minutes
+	$(BIN)/python -m evaluation.benchmarks.localisation
+	$(BIN)/python -m evaluation.benchmarks.mapping
+	$(BIN)/python -m evaluation.benchmarks.planning
+	$(BIN)/python -m evaluation.benchmarks.beacons --cases 100000
 	$(BIN)/python -m evaluation.benchmarks.loop
 
 docs: $(VENV)/.runtime  ## Draw the figures of the README

@@ -71,6 +71,13 @@ def detection(occupied: Mask, truth: MapTruth, tolerance: int = 1) -> dict[str, 
     return found
 
 
+def missed_by_one(lidar: Mask, rgbd: Mask, truth: MapTruth) -> float:
+    """Share of the visible obstacles that one of the two sensors' maps does not show."""
+    both = [detection(occupied, truth) for occupied in (lidar, rgbd)]
+    pairs = [pair for kind in both[0] for pair in zip(both[0][kind], both[1][kind], strict=True)]
+    return float(np.mean([not all(pair) for pair in pairs])) if pairs else float("nan")
+
+
 def map_metrics(states: Mapping[str, NDArray[np.int8]], truth: MapTruth) -> dict[str, float]:
     """Figures of the maps `lidar`, `rgbd` and `fused` for the report, by name of the metric."""
     figures: dict[str, float] = {}
@@ -88,6 +95,8 @@ def map_metrics(states: Mapping[str, NDArray[np.int8]], truth: MapTruth) -> dict
         figures[f"obstacles_detected_{name}"] = float(np.mean(every)) if every else float("nan")
         for kind in sorted(found):
             figures[f"detected_{kind}_{name}"] = float(np.mean(found[kind]))
+    lidar, rgbd = (states[name] == OCCUPIED for name in ("lidar", "rgbd"))
+    figures["obstacles_missed_by_one"] = missed_by_one(lidar, rgbd, truth)
     return figures
 
 

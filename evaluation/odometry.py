@@ -5,16 +5,20 @@ All from the plant's truth. The wheels stand on a patch when the middle of one o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.geometry import wrap_angle
+from evaluation.run import Trajectory
+from twin.geometry import between2
 from twin.layout import WetPatch
 from twin.loop import Tick
+from twin.stack.estimation.motion_models import mismatch
 
 STILL, TURNING = 0.02, 0.05  # m/s, rad/s of the true velocity
 AT_NODE = 0.10  # m from a node within which the vehicle turns on it
+STEP, SHORTEST = 0.5, 0.05  # s of a step of the odometry; m that it must cover to count
 FULL_TURN = 2 * np.pi - np.radians(1.0)
 
 
@@ -118,12 +122,31 @@ class CourseMonitor:
         return worst
 
 
-def nees(errors: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalised error squared by degree of freedom: 1 on average of an honest estimate.
+def step_errors(truth: Trajectory, track: Trajectory) -> dict[str, float]:
+    """Errors of the steps that a track reports, rms: Xu et al., Eqs. 16-18.
+
+    Each step is split into a first turn, a path and a second turn; the difference from the true
+    step's is the odometry's own error, without what it has gathered before. NaN without a step.
 
     Args:
-        errors: estimate less truth, x, y, yaw. Shape (n, 3).
-        covariance: what the estimate says of them. Shape (n, 3, 3).
+        truth, track: on the same stamps.
     """
-    errors = np.column_stack([errors[:, :2], wrap_angle(errors[:, 2])])
-    return np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[..., None])[..., 0]) / 3
+    stamps, true = truth
+    known = {}
+    if len(stamps):
+        at = np.arange(stamps[0], stamps[-1], STEP)
+        for i in np.unique(np.searchsorted(stamps, at)):
+            known[int(i)] = true[i], track[1][i]
+    off = []
+    for (a, reported_a), (b, reported_b) in pairwise(known.values()):
+        step = between2(a, b)
+        if np.hypot(*step[:2]) >= SHORTEST:
+            off.append(mismatch(between2(reported_a, reported_b), step))
+    first, path, second = (
+        np.sqrt(np.mean(np.square(off), axis=0)) if off else np.full(3, np.nan)
+    ).tolist()
+    return {
+        "step_first_turn_error_mrad": 1e3 * first,
+        "step_path_error_mm": 1e3 * path,
+        "step_second_turn_error_mrad": 1e3 * second,
+    }

@@ -13,7 +13,7 @@ from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
 from twin.floor_plan import stops
 from twin.geometry import compose2
-from twin.layout import Layout, Mover, Obstacle
+from twin.layout import Layout, LayoutError, Mover, Obstacle
 from twin.messages import DriveOrder, Goal
 
 LONGEST = 420.0  # s of simulated time after which the run is given up
@@ -30,12 +30,18 @@ MOVER_SPEED = (0.3, 0.5)  # m/s
 CRITERIA = [
     Criterion("goals_reached", ">=", 0.98),
     Criterion("collisions", "==", 0.0),
+    Criterion("sudden_obstacles", ">=", 1.0),
     Criterion("ape_aisle_rmse_m", "<=", 0.03),
 ]
 
 
 def run(request: RunRequest, layout: Layout) -> RunResult:
-    """One run through all goals."""
+    """One run through all goals.
+
+    Raises:
+        LayoutError: the drawing has no racks, or nothing could appear before the vehicle.
+    """
+    check_layout(layout)
     rng = np.random.default_rng([request.seed, 1])
     goals = draw_goals(layout, rng)
     layout = with_faults(layout, rng)
@@ -62,6 +68,24 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
             for e in sim.plant.faults.log
         ]
         return sim.result(metrics, CRITERIA, complete, [*monitor.notes, *placed])
+
+
+def check_layout(layout: Layout) -> None:
+    """Refuse a layout on which the criteria could never be met.
+
+    Raises:
+        LayoutError: one line saying what is missing.
+    """
+    if not layout.site.racks:
+        raise LayoutError(
+            "navigate: the drawing has no racks; give it site.racks, whose aisles it drives in"
+        )
+    near = [obstacle for obstacle in layout.world.faults.obstacles if obstacle.near]
+    if not layout.world.hazards.mouths and not near:
+        raise LayoutError(
+            "navigate: nothing can appear before the vehicle; give the layout world.hazards.mouths,"
+            " or world.faults.obstacles with a value of near"
+        )
 
 
 def draw_goals(layout: Layout, rng: np.random.Generator) -> tuple[Goal, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.ape import pose_errors
-from evaluation.odometry import Aisle, CourseMonitor
+from evaluation.odometry import Aisle, CourseMonitor, step_errors
 from evaluation.places import check_way
 from evaluation.run import Criterion, RunRequest, RunResult
 from evaluation.simulation import Simulation
@@ -139,6 +139,11 @@ def patches(way: Course, rng: np.random.Generator) -> tuple[WetPatch, ...]:
     return tuple(out)
 
 
+def worst_drift(course: CourseMonitor, way: Course) -> float:
+    """Greatest drift of the turns at both ends of the aisle, m; NaN if either was not turned."""
+    return float(np.maximum(course.turn_drift(way.east), course.turn_drift(way.west)))
+
+
 def metrics(sim: Simulation, course: CourseMonitor, way: Course) -> dict[str, float]:
     """All figures of the report, in the order of its table."""
     tracks = sim.paths.trajectories()
@@ -158,10 +163,11 @@ def metrics(sim: Simulation, course: CourseMonitor, way: Course) -> dict[str, fl
         "odometry_dry_ratio": fused.where(dry).rmse / wheels.where(dry).rmse,
         "odometry_yaw_rmse_deg": wheels.yaw_rmse_deg,
         "odometry_fused_yaw_rmse_deg": fused.yaw_rmse_deg,
+        **step_errors(truth, tracks["fused"]),
         "wet_share": float(np.mean(course.wheels_wet() > 0)),
         "cross_track_max_m": cross_track,
         "cruise_way_m": cruised,
-        "turn_drift_m": float(np.fmax(course.turn_drift(way.east), course.turn_drift(way.west))),
+        "turn_drift_m": worst_drift(course, way),
         "ape_rmse_m": estimate.rmse,
         "ape_max_m": estimate.maximum,
         "ape_yaw_rmse_deg": estimate.yaw_rmse_deg,

@@ -40,6 +40,8 @@ CRITERIA = [
     Criterion("ape_aisle_rmse_m", "<=", 0.03),
     Criterion("ape_aisle_rmse_lidar_m", "<=", 0.03),
     Criterion("collisions", "==", 0.0),
+    Criterion("delivered_lidar", "==", 1.0),
+    Criterion("collisions_lidar", "==", 0.0),
 ]
 
 

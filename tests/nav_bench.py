@@ -11,6 +11,8 @@ from twin.floor_plan import FOOTPRINT, machines
 from twin.geometry import compose2, rectangle, rectangles_overlap, rot2
 from twin.layout import Faults, load_layout
 from twin.messages import LidarScan, RgbdFrame
+from twin.plant.mover import MoverWay
+from twin.plant.obstacles import MOVER_OUTLINE, OUTLINE
 from twin.stack.config import DriveLimits, nominal_config
 from twin.stack.estimation.depth_to_scan import DepthScan
 from twin.stack.estimation.odometry import exp2
@@ -21,15 +23,6 @@ DT = 0.01
 LIMITS = DriveLimits()
 LAYOUT = load_layout()
 CONFIG = nominal_config(LAYOUT.site, LAYOUT.options)
-OUTLINE = {
-    "carton": (0.40, 0.30),
-    "pillar": (0.24, 0.24),
-    "low_box": (0.40, 0.30),
-    "table": (0.80, 0.60),
-    "black_panel": (0.80, 0.12),
-    "glass_panel": (0.80, 0.12),
-}
-CART = (0.50, 0.40)
 UNDER = 0.90  # m from the camera within which a low box lies under its picture
 NO_BOX = np.zeros((0, 2, 2))
 
@@ -66,29 +59,17 @@ def walls():
 
 
 class Cart:
-    """To and fro along a path; stops before a vehicle that stands."""
+    """To and fro along a path by the plant's rule, as if its servos had no lag."""
 
     def __init__(self, mover):
-        self._mover, self._travel = mover, 0.0
-        corners = np.array([*mover.path, *mover.path[-2::-1]])
-        self._corners = corners
-        self._along = np.append(0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
-        self._yaw = float(np.arctan2(*(corners[1] - corners[0])[::-1]))
+        self.way = MoverWay(mover)
 
-    def place(self, ahead=0.0):
-        s = (self._travel + ahead) % self._along[-1]
-        return [np.interp(s, self._along, self._corners[:, k]) for k in range(2)]
+    def box(self):
+        return rectangle(*self.way.here()[0], self.way.yaw, *MOVER_OUTLINE)
 
-    def box(self, ahead=0.0):
-        return rectangle(*self.place(ahead), self._yaw, *CART)
-
-    def step(self, now, pose, velocity):
-        if now < self._mover.starts:
-            return
-        body = rectangle(*pose, *FOOTPRINT)
-        near = any(rectangles_overlap(self.box(a), body) for a in np.arange(0.05, 0.5, 0.05))
-        if not (near and np.abs(velocity).max() < 0.05):
-            self._travel += self._mover.speed * DT
+    def step(self, now, pose):
+        self.way.choose_speed(now, pose, DT)
+        self.way.advance(DT)
 
 
 class NavBench:
@@ -130,7 +111,7 @@ class NavBench:
         command = self.navigator.step(self.now, self.believed(), self.loops.velocity)
         self.pose = compose2(self.pose, exp2(self.loops.step(command.as_array()) * DT))
         for cart in self.carts:
-            cart.step(self.now, self.pose, self.loops.velocity)
+            cart.step(self.now, self.pose)
         self.rows.append([self.now, *self.pose, *self.loops.velocity])
         self.events += [(round(self.now, 2), e) for e in self.navigator.events]
         self.navigator.events.clear()

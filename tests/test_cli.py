@@ -120,6 +120,10 @@ BAD = {
     "nan": (["run", "drift", "--set", "belt_speed=nan"], "nan"),
     "unknown class": (["run", "drift", "--set", "order=bnc:3"], "sma_f_n_m"),
     "overlap": (["run", "drift", "--set", "site.pick=[3.6,3.2,1.57]"], "stand in the belt"),
+    "place named as a station": (
+        ["run", "drift", "--set", 'site.places=[{{name="dock", pose=[1.0, 1.0, 0.0]}}]'],
+        "place 'dock': there is another stop of that name",
+    ),
     "missing layout": (["run", "drift", "--layout", "nowhere.toml"], "nowhere.toml"),
     "malformed layout": (["run", "drift", "--layout", "{malformed}"], "not a TOML file"),
     "missing model": (["run", "drift", "--set", "belt_speed=0.45"], "agv.xml: missing"),
@@ -144,6 +148,22 @@ def test_bad_input_is_one_line_and_writes_nothing(argv, said, tmp_path, capsys, 
     assert len(captured.err.strip().splitlines()) == 1
     assert captured.err.startswith("twin: ") and said in captured.err
     assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_a_complaint_is_one_statement_in_any_encoding(encoding):
+    """Expected: the parser's box is taken off, also where it is drawn of dashes and bars."""
+    run = [sys.executable, "-c", "import sys; from twin.cli import main; sys.exit(main())"]
+    done = subprocess.run(
+        [*run, "run", "pick_line", "--seed", "x"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+    )
+    assert done.returncode == 2 and done.stdout == ""
+    said = "twin: Error parsing --seed: invalid literal for int() with base 10: 'x'"
+    assert done.stderr.startswith(said) and done.stderr.count("\n") == 1
+    assert done.stderr.rstrip().endswith("see twin run --help") and "--- " not in done.stderr
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "taken"])

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from evaluation.odometry import Aisle, CourseMonitor, nees
+from evaluation.odometry import Aisle, CourseMonitor, step_errors
 from scenarios import odometry
 from twin.floor_plan import FOOTPRINT
-from twin.geometry import wrap_angle
+from twin.geometry import compose2, wrap_angle
 from twin.layout import Layout, WetPatch, load_layout
 from twin.messages import CourseOrder
 from twin.recording.codec import decode, encode
@@ -70,11 +70,27 @@ def test_wheels_on_a_patch_are_counted():
     assert watched(poses).dry_until() == np.inf
 
 
-def test_an_honest_estimate_has_a_normalised_error_of_one():
-    rng = np.random.default_rng(0)
-    covariance = np.array([[4e-4, 1e-4, 0], [1e-4, 1e-4, 0], [0, 0, 1e-5]])
-    errors = rng.multivariate_normal(np.zeros(3), covariance, 4000)
-    assert nees(errors, np.tile(covariance, (4000, 1, 1))).mean() == pytest.approx(1.0, abs=0.05)
+def test_errors_of_steps_are_those_of_the_odometry_alone():
+    """Hand-worked: 0.9 m/s ahead, path reported 2 % long, the track turned and far off from it."""
+    stamps = np.arange(0.0, 3.0, DT)
+    true = np.column_stack([0.9 * stamps, np.zeros(len(stamps)), np.zeros(len(stamps))])
+    track = np.array([compose2((5.0, -3.0, 1.2), (1.02 * x, y, yaw)) for x, y, yaw in true])
+    off = step_errors((stamps, true), (stamps, track))
+    assert off["step_path_error_mm"] == pytest.approx(0.02 * 0.9 * 0.5 * 1e3)
+    assert off["step_first_turn_error_mrad"] == pytest.approx(0.0, abs=1e-6)
+    rest = np.zeros((len(stamps), 3))
+    assert np.isnan(step_errors((stamps, rest), (stamps, track))["step_path_error_mm"])
+    nothing = np.zeros(0), np.zeros((0, 3))
+    assert np.isnan(step_errors(nothing, nothing)["step_path_error_mm"])
+
+
+def test_a_turn_that_never_was_is_no_small_drift():
+    """Expected: NaN, which meets no criterion, unless the vehicle turned at both ends."""
+    once = watched(full_turn(2 * np.pi, 0.01))
+    way = odometry.Course(AISLE, (3.0, 1.0), (5.0, 1.0), ())
+    assert np.isnan(odometry.worst_drift(once, way))
+    both = odometry.Course(AISLE, (3.0, 1.0), (3.02, 1.0), ())
+    assert odometry.worst_drift(once, both) == pytest.approx(0.01, abs=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -19,7 +19,6 @@ from twin.geometry import (
 )
 from twin.stack.config import Camera
 from twin.stack.estimation.extrinsic_calibration import (
-    EdgeObservation,
     PlaneObservation,
     calibrate,
     fixed_angles,
@@ -134,18 +133,6 @@ def test_perfect_planes_give_the_perfect_pose():
     found = calibrate([plane(n, d, rng, true) for n, d in planes], T_DRAWN)
     np.testing.assert_allclose(found.T_lidar_rgbd, true, atol=1e-7)
     np.testing.assert_allclose(rotation_xyz(*found.angles), true[:3, :3], atol=1e-7)
-
-
-def test_an_edge_stands_in_for_a_second_wall():
-    rng = np.random.default_rng(1)
-    true = perturbed(rng)
-    T = inverse(true)
-    edge = np.column_stack([np.full(50, 1.5), np.full(50, 0.4), np.linspace(-0.1, 0.8, 50)])
-    seen = [plane((1, 0, 0), 2.0, rng, true), plane((0, 0, 1), -0.18, rng, true)]
-    with pytest.raises(ValueError, match="shift y"):
-        calibrate(seen, T_DRAWN)
-    seen.append(EdgeObservation(np.array([1.5, 0.4]), edge @ T[:3, :3].T + T[:3, 3]))
-    np.testing.assert_allclose(calibrate(seen, T_DRAWN).T_lidar_rgbd, true, atol=1e-6)
 
 
 def test_what_cannot_be_known_is_named():

@@ -46,6 +46,21 @@ def test_another_file(tmp_path):
     assert load_layout(path).world.line.speed == 0.3
 
 
+@pytest.mark.parametrize("name", ["dock", "pick", "receiving", "goods_in", "rack 3"])
+def test_a_place_cannot_take_the_name_of_a_stop(name):
+    """Expected: refused; it would silently send the vehicle elsewhere."""
+    place = f'site.places=[{{name="{name}", pose=[1.0, 1.0, 0.0]}}]'
+    with pytest.raises(LayoutError, match=f"place '{name}': there is another stop of that name"):
+        load_layout(None, (place,))
+
+
+def test_a_place_is_named_once():
+    place = '{name="corner", pose=[1.0, 1.0, 0.0]}'
+    assert load_layout(None, (f"site.places=[{place}]",)).site.places[0].name == "corner"
+    with pytest.raises(LayoutError, match="place 'corner': there is another stop"):
+        load_layout(None, (f"site.places=[{place}, {place}]",))
+
+
 @pytest.mark.parametrize(
     "override, said",
     [

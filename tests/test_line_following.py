@@ -10,6 +10,7 @@ from twin.stack.planning.line_following import (
     LineFollower,
     fit_line,
     least_squares,
+    line_through,
     steering_angle,
     total_least_squares,
 )
@@ -62,6 +63,18 @@ def test_steep_lines_need_total_least_squares():
     line = total_least_squares(upright)
     assert line is not None and line.angle == pytest.approx(np.pi / 2)
     assert line.distance == pytest.approx(-1.0)
+
+
+def test_a_line_along_the_way_is_the_sources_and_a_steep_one_that_of_distances():
+    rng = np.random.default_rng(2)
+    p = points_on(0.3, 0.6, 50, 0.002, rng)
+    a0, a1 = least_squares(p) or (np.nan, np.nan)
+    line, trimmed = line_through(p), fit_line(p)
+    assert line is not None and trimmed is not None
+    assert line.slope == pytest.approx(a1) and line.offset == pytest.approx(a0)
+    assert trimmed.points == 50 and trimmed.angle == pytest.approx(line.angle)
+    p = points_on(1.4, 0.6, 50, 0.05, rng)
+    assert line_through(p) == total_least_squares(p)
 
 
 @given(angle, angle, st.floats(-2, 2), st.floats(-2, 2))

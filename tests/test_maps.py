@@ -11,6 +11,7 @@ from evaluation.maps import (
     detection,
     error_picture,
     map_metrics,
+    missed_by_one,
     score,
     widened,
     write_pictures,
@@ -100,6 +101,8 @@ def test_metrics_of_the_three_maps():
     assert figures["occupied_recall_gain"] == pytest.approx(12 / 24)
     assert figures["obstacles_detected_lidar"] == 0.0
     assert figures["obstacles_detected_fused"] == figures["detected_low_box_rgbd"] == 1.0
+    assert figures["obstacles_missed_by_one"] == 1.0
+    assert missed_by_one(truth.obstacles[0], truth.surface, truth) == 0.5
 
 
 def test_pictures_show_what_was_missed_and_what_is_wrong(tmp_path):

@@ -100,6 +100,12 @@ def test_mismatch_is_the_error_of_the_odometry():
     )
 
 
+def test_strafes_on_both_sides_of_a_right_angle_are_split_alike():
+    ahead, back = np.array([0.001, 0.5, 0.0]), np.array([-0.001, 0.5, 0.0])
+    off = mismatch(ahead, back)
+    np.testing.assert_allclose(off, [-0.004, 0.0, 0.004], atol=1e-5)
+
+
 @settings(deadline=None)  # the first call compiles
 @given(angle, angle)
 def test_yaw_stays_within_a_turn(yaw, turn):

@@ -109,7 +109,7 @@ def test_a_goal_that_something_stands_on_is_given_up_with_a_reason():
 def test_a_cart_that_comes_towards_is_let_pass():
     cart = Mover(path=((7.0, 0.3), (7.0, 4.9)), speed=0.4, starts=0.0)
     bench = NavBench((7.2, 4.6, -np.pi / 2), faults=Faults(movers=(cart,)))
-    bench.carts[0]._travel = 0.5
+    bench.carts[0].way.travel = 0.5
     assert bench.go(goal("south", (7.35, -0.65, 0.0)), limit=60) == "reached"
     assert not bench.collisions
 

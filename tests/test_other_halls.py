@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from evaluation.run import RunRequest
-from scenarios import kidnap, mapping, odometry, warehouse_qr
+from scenarios import kidnap, mapping, navigate, odometry, warehouse_qr
 from twin.cli import main
-from twin.floor_plan import stops
+from twin.floor_plan import FOOTPRINT, stops
+from twin.geometry import rectangle, rectangles_overlap
 from twin.layout import LayoutError, load_layout, models_dir
 from twin.plant.fault_plan import check_faults
+from twin.plant.obstacles import OUTLINE
 
 SHORT = models_dir() / "cell" / "short.toml"
 NO_TAGS = "site.tags=[]"
@@ -56,7 +58,45 @@ def test_transport_follows_the_drawing_to_any_rack(file, rack):
         assert drawn.world.faults.tags[0].tag in [tag.name for tag in way[:-1]]
 
 
-@pytest.mark.parametrize("scenario", ["pick_line", "odometry", "warehouse_qr", "kidnap"])
+@pytest.mark.parametrize("file", [None, SHORT])
+def test_hazards_stand_clear_of_where_the_vehicle_must_stand(file):
+    """Expected: all can be built, and whatever stands leaves every goal and each other free."""
+    layout = load_layout(file)
+    for seed in range(20):
+        drawn = navigate.with_faults(layout, np.random.default_rng([seed, 1]))
+        check_faults(drawn)
+        faults = drawn.world.faults
+        assert sum(o.near > 0 for o in faults.obstacles) == navigate.SUDDEN
+        assert len(faults.obstacles) == 7 and len(faults.movers) == 2
+        boxes = [rectangle(*o.pose, *OUTLINE[o.kind]) for o in faults.obstacles]
+        for i, box in enumerate(boxes):
+            others = [rectangle(*pose, *FOOTPRINT) for pose in stops(layout.site).values()]
+            assert not any(rectangles_overlap(box, other) for other in (*boxes[:i], *others))
+
+
+@pytest.mark.parametrize(
+    "overrides, said",
+    [
+        (("site.racks=[]",), "navigate: the drawing has no racks"),
+        (("world.hazards.mouths=[]",), "navigate: nothing can appear before the vehicle"),
+    ],
+)
+def test_a_plant_in_which_navigate_could_never_pass_is_refused(overrides, said, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["run", "navigate", "--out", str(out), "--set", *overrides]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and said in error and not out.exists()
+
+
+def test_obstacles_of_the_layouts_own_may_appear_in_place_of_the_hazards():
+    near = 'world.faults.obstacles=[{kind="carton", pose=[8.5, 1.95, 0.0], near=2.0}]'
+    navigate.check_layout(load_layout(None, ("world.hazards.mouths=[]", near)))
+
+
+SCENARIOS = ("pick_line", "odometry", "navigate", "warehouse_qr", "kidnap")
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_the_scenarios_begin_in_the_short_hall(scenario, tmp_path):
     """Without tags where they are not the point: for what leans on them there is another way."""
     run = ["run", scenario, "--layout", str(SHORT), "--duration", "0.3", "--out", str(tmp_path)]

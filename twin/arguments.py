@@ -87,10 +87,18 @@ def parse(argv: Sequence[str]) -> List | Run | TrainDetector:
 
 
 def _unbox(box: str, argv: Sequence[str]) -> str:
-    """The first statement of tyro's boxed complaint, and the choices there are, on one line."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()[1:-1]]
-    end = next((i for i, line in enumerate(lines) if line.startswith("──")), len(lines))
-    said = " ".join(line for line in lines[:end] if line)
+    """The first statement of tyro's boxed complaint, and the choices there are, on one line.
+
+    A terminal without box characters gets rules of dashes above and below, and no sides.
+    """
+    below_title = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
+    statements: list[list[str]] = [[]]
+    for line in below_title:
+        if line and not line.strip("─-"):  # a rule
+            statements.append([])
+        elif line:
+            statements[-1].append(line)
+    said = " ".join(next((lines for lines in statements if lines), []))
     known = {"run": Run, "train-detector": TrainDetector}
     if argv and argv[0] in known:
         if said.startswith("Unrecognized"):

@@ -101,6 +101,11 @@ def machines(site: Any) -> dict[str, list[Box]]:
 
 def stops(site: Any) -> dict[str, tuple[float, float, float]]:
     """Poses at which the vehicle stops, by name."""
+    return _drawn_stops(site) | {place.name: place.pose for place in site.places}
+
+
+def _drawn_stops(site: Any) -> dict[str, tuple[float, float, float]]:
+    """Stations and racks, without the named places."""
     named = {
         "dock": site.dock,
         "pick_approach": site.pick_approach,
@@ -110,8 +115,7 @@ def stops(site: Any) -> dict[str, tuple[float, float, float]]:
     }
     if site.goods_in is not None:
         named["goods_in"] = site.goods_in
-    named |= {f"rack {r.number}": rack_stop(r.pose) for r in site.racks}
-    return named | {place.name: place.pose for place in site.places}
+    return named | {f"rack {r.number}": rack_stop(r.pose) for r in site.racks}
 
 
 def rack_stop(pose) -> tuple[float, float, float]:
@@ -128,9 +132,9 @@ def _check_names(site: Any) -> None:
     numbers = [rack.number for rack in site.racks]
     names = [tag.name for tag in site.tags]
     places = [place.name for place in site.places]
-    stations = [n for n in stops(site) if n not in places]
+    drawn = _drawn_stops(site)
     for place in places:
-        if place in stations or len(stops(site)) < len(stations) + len(places):
+        if place in drawn or places.count(place) > 1:
             raise ValueError(f"place '{place}': there is another stop of that name")
     for what, given in (("rack", numbers), ("tag", names)):
         twice = {n for n in given if given.count(n) > 1}

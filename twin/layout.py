@@ -86,7 +86,10 @@ class Obstacle(Strict):
 
 
 class Mover(Strict):
-    """A cart that goes to and fro along a path, whoever stands in its way."""
+    """A cart that goes to and fro along a path.
+
+    It brakes for a vehicle in its protective field (`twin.plant.mover`) and gives way to nobody.
+    """
 
     path: Annotated[tuple[Position2, ...], Field(min_length=2, max_length=50)]
     speed: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5

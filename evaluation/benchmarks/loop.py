@@ -1,16 +1,25 @@
 """Where the time of a run goes: physics, each sensor, each stage of the stack, the whole.
 
-    python -m evaluation.benchmarks.loop [--job pick|drive] [--seconds 60] [--repeats 3]
+    python -m evaluation.benchmarks.loop [--job pick|drive|navigate] [--seed 100]
+                                         [--seconds 60] [--repeats 3]
 
-Times are wall time inside one process; shares are of the loop. Rendering runs in a worker thread
-beside physics: its rows count the worker's time, which overlaps the loop's.
+`pick` fills an order off the belt; `drive` goes from rack to rack with nothing in the way. Times
+are wall time inside one process; shares are of the loop. Rendering runs in a worker thread beside
+physics: its rows count the worker's time, which overlaps the loop's. `navigate` is the scenario
+itself, with the goals and hazards of its seed, whole unless `--seconds` are given: each run is a
+process of its own, and only its real-time factor is told.
 """
 
 import argparse
+import json
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections import defaultdict
 from functools import wraps
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -95,25 +104,52 @@ def watched_loop(job: str, seed: int, watch: Stopwatch) -> Loop:
     return Loop(plant, stack, unit)
 
 
+def scenario_factor(name: str, seed: int, seconds: float | None) -> float:
+    """Real-time factor that a run of a scenario reports; NaN if it was too short to say.
+
+    Raises:
+        RuntimeError: the run failed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        run = [sys.executable, "-m", "twin", "run", name, "--seed", str(seed), "--out", folder]
+        cut = [] if seconds is None else ["--duration", str(seconds)]
+        done = subprocess.run([*run, *cut], capture_output=True, text=True)
+        if done.returncode not in (0, 1):
+            raise RuntimeError(done.stderr.strip())
+        factor = json.loads((Path(folder) / "report.json").read_text())["rtf"]
+    return float("nan") if factor is None else float(factor)
+
+
+def watched_factor(job: str, seed: int, seconds: float, tell: bool) -> float:
+    """Real-time factor of a job in this process; prints its table if it is to be told."""
+    watch = Stopwatch()
+    loop = watched_loop(job, seed, watch)
+    loop.run(WARM_UP)
+    watch.clear()
+    busy = loop.busy_s
+    loop.run(seconds)
+    busy = loop.busy_s - busy
+    loop.plant.close()
+    if tell:
+        Console().print(_table(watch, busy))
+    return (seconds - WARM_UP) / busy
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--job", choices=("pick", "drive"), default="pick")
-    parser.add_argument("--seconds", type=float, default=60.0, help="simulated seconds a run")
+    parser.add_argument("--job", choices=("pick", "drive", "navigate"), default="pick")
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--seconds", type=float, help="simulated seconds a run")
     parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args()
     factors = []
     for repeat in range(asked.repeats):
-        watch = Stopwatch()
-        loop = watched_loop(asked.job, 100, watch)
-        loop.run(WARM_UP)
-        watch.clear()
-        busy = loop.busy_s
-        loop.run(asked.seconds)
-        busy = loop.busy_s - busy
-        loop.plant.close()
-        factors.append((asked.seconds - WARM_UP) / busy)
-        if repeat == asked.repeats - 1:
-            Console().print(_table(watch, busy))
+        if asked.job == "navigate":
+            factors.append(scenario_factor(asked.job, asked.seed, asked.seconds))
+            print(f"navigate, seed {asked.seed}: real-time factor {factors[-1]:.2f}", flush=True)
+        else:
+            last = repeat == asked.repeats - 1
+            factors.append(watched_factor(asked.job, asked.seed, asked.seconds or 60.0, last))
     print(f"real-time factor, median of {asked.repeats}: {statistics.median(factors):.2f}")
 
 

@@ -22,6 +22,68 @@ FAR = 4.0  # m between the middles from which nobody is in the way: more than it
 LEASH = 0.10  # m that it may be off that point before the point waits
 
 
+class MoverWay:
+    """How far a cart is along its path, and how fast it lets itself go. No physics.
+
+    Attributes:
+        travel: m along the path there and back.
+        speed: m/s.
+
+    Args:
+        mover: its path and speed.
+    """
+
+    def __init__(self, mover: Mover):
+        self._mover = mover
+        self.yaw = float(mover_start(mover)[2])  # of the cart in world: it never turns
+        # there and back, as one closed way
+        self._corners = np.array([*mover.path, *mover.path[-2::-1]], dtype=float)
+        steps = np.linalg.norm(np.diff(self._corners, axis=0), axis=1)
+        self._along = np.concatenate([[0.0], np.cumsum(steps)])
+        self.travel = self.speed = 0.0
+
+    def choose_speed(self, now: float, pose: Array, dt: float) -> None:
+        """Towards the speed that is allowed, as its drive can.
+
+        Args:
+            now: s.
+            pose: of the vehicle, x, y, yaw in world.
+            dt: time since the last call, s.
+        """
+        wanted = 0.0 if now < self._mover.starts else self._allowed(pose)
+        change = np.clip(wanted - self.speed, -ACCELERATION * dt, ACCELERATION * dt)
+        self.speed += float(change)
+
+    def advance(self, dt: float) -> None:
+        """On along the path at the chosen speed."""
+        self.travel = (self.travel + self.speed * dt) % self._along[-1]
+
+    def here(self) -> tuple[Array, Array, float]:
+        """Point of the path, its direction, and what is left to the corner."""
+        i = int(np.searchsorted(self._along, self.travel, side="right")) - 1
+        i = min(i, len(self._corners) - 2)
+        leg = self._corners[i + 1] - self._corners[i]
+        direction = leg / np.linalg.norm(leg)
+        point = self._corners[i] + (self.travel - self._along[i]) * direction
+        return point, direction, float(self._along[i + 1] - self.travel)
+
+    def _allowed(self, pose: Array) -> float:
+        """Speed from which it can slow down to the next corner; 0 with the vehicle in its field."""
+        point, direction, left = self.here()
+        speed = min(self._mover.speed, float(np.sqrt(2 * ACCELERATION * left)) + CORNER_SPEED)
+        if np.linalg.norm(pose[:2] - point) > FAR:
+            return speed
+        x, y, yaw = pose
+        vehicle = rectangle(x, y, yaw, *FOOTPRINT)
+        braking = self.speed**2 / (2 * ACCELERATION)
+        length, width = MOVER_OUTLINE
+        for ahead in np.arange(0.0, GAP + braking + 0.05, 0.05):
+            x, y = point + ahead * direction
+            if rectangles_overlap(rectangle(x, y, self.yaw, length, width), vehicle):
+                return 0.0
+        return speed
+
+
 class MoverDriver:
     """One cart. Call `step` at a fixed period.
 
@@ -36,15 +98,8 @@ class MoverDriver:
         joints = [model.joint(f"{name}{axis}") for axis in "xy"]
         self._qpos = [int(j.qposadr[0]) for j in joints]
         self._ctrl = [model.actuator(f"{name}{axis}").id for axis in "xy"]
-        self._mover, self._start = mover, mover_start(mover)
+        self._way, self._start = MoverWay(mover), mover_start(mover)
         self._R_world_cart = rot2(self._start[2])
-        # there and back, as one closed way
-        corners = np.array([*mover.path, *mover.path[-2::-1]], dtype=float)
-        self._along = np.concatenate(
-            [[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
-        )
-        self._corners = corners
-        self._travel = self._speed = 0.0
 
     def position(self, data: mujoco.MjData) -> Array:
         """Where the cart is. Shape (2,), world."""
@@ -59,37 +114,10 @@ class MoverDriver:
             dt: time since the last call, s.
         """
         here = self.position(data)
-        wanted = 0.0 if data.time < self._mover.starts else self._allowed(pose)
-        change = np.clip(wanted - self._speed, -ACCELERATION * dt, ACCELERATION * dt)
-        self._speed += float(change)
-        target, direction, _ = self._at(self._travel)
+        self._way.choose_speed(data.time, pose, dt)
+        target, direction, _ = self._way.here()
         v = GAIN * (target - here)
         if np.linalg.norm(target - here) < LEASH:
-            self._travel = (self._travel + self._speed * dt) % self._along[-1]
-            v += self._speed * direction
+            self._way.advance(dt)
+            v += self._way.speed * direction
         data.ctrl[self._ctrl] = self._R_world_cart.T @ v
-
-    def _allowed(self, pose: Array) -> float:
-        """Speed from which it can slow down to the next corner; 0 with the vehicle in its field."""
-        point, direction, left = self._at(self._travel)
-        speed = min(self._mover.speed, float(np.sqrt(2 * ACCELERATION * left)) + CORNER_SPEED)
-        if np.linalg.norm(pose[:2] - point) > FAR:
-            return speed
-        x, y, yaw = pose
-        vehicle = rectangle(x, y, yaw, *FOOTPRINT)
-        braking = self._speed**2 / (2 * ACCELERATION)
-        length, width = MOVER_OUTLINE
-        for ahead in np.arange(0.0, GAP + braking + 0.05, 0.05):
-            x, y = point + ahead * direction
-            if rectangles_overlap(rectangle(x, y, self._start[2], length, width), vehicle):
-                return 0.0
-        return speed
-
-    def _at(self, travel: float) -> tuple[Array, Array, float]:
-        """Point of the way after `travel` metres, its direction, and what is left to the corner."""
-        i = int(np.searchsorted(self._along, travel, side="right")) - 1
-        i = min(i, len(self._corners) - 2)
-        leg = self._corners[i + 1] - self._corners[i]
-        direction = leg / np.linalg.norm(leg)
-        point = self._corners[i] + (travel - self._along[i]) * direction
-        return point, direction, float(self._along[i + 1] - travel)

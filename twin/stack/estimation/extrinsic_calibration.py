@@ -1,4 +1,4 @@
-"""Pose of the depth camera in the lidar's frame, from walls and edges that both see while driving.
+"""Pose of the depth camera in the lidar's frame, from walls that both see while driving.
 
 Frames: *lidar*, whose x-y plane is the scan, and *rgbd*, the camera's optical frame;
 `T_lidar_rgbd`. A wall stands upright on the scan: a line of the scan tells its normal and offset,
@@ -26,18 +26,6 @@ class PlaneObservation:
     points: Array  # (k, 3) in rgbd, m
     sigma: float = 0.02  # m, of one point across the plane
     bias: float = 0.0  # m that the offset grows with each metre of constant error of the ranges
-
-
-@dataclass(frozen=True)
-class EdgeObservation:
-    """Points of the camera on an upright edge whose place in the scan is known."""
-
-    corner: Array  # (2,) x, y in lidar, m
-    points: Array  # (k, 3) in rgbd, m
-    sigma: float = 0.03  # m, of one point
-
-
-Observation = PlaneObservation | EdgeObservation
 
 
 @dataclass(frozen=True)
@@ -79,7 +67,7 @@ AXES = ("turn about x", "turn about y", "turn about z", "shift x", "shift y", "s
 
 
 def calibrate(
-    observations: list[Observation],
+    observations: list[PlaneObservation],
     start: Array,
     iterations: int = 40,
     robust: float = 3.0,
@@ -92,7 +80,7 @@ def calibrate(
     With `range_sigma` the lidar's constant error of range is a seventh unknown.
 
     Args:
-        observations: of walls, floor and edges.
+        observations: of walls and floor.
         start: `T_lidar_rgbd` on the drawing. Shape (4, 4).
         iterations: at most.
         robust: residual in sigmas from which it counts linearly.
@@ -141,26 +129,19 @@ def calibrate(
     return Extrinsics(T, covariance, float(np.sqrt(np.mean(r**2))), removed)
 
 
-def _stack(observations: list[Observation]):
-    """All observations as planes: an edge is where two planes cross."""
+def _stack(observations: list[PlaneObservation]):
+    """Arrays over the points of all planes."""
     normals, points, offsets, sigmas, biases = [], [], [], [], []
     for seen in observations:
         p = np.atleast_2d(np.asarray(seen.points, dtype=float))
-        if isinstance(seen, PlaneObservation):
-            planes = [(seen.normal, seen.offset)]
-            bias = seen.bias
-        else:
-            planes = [((1.0, 0.0, 0.0), seen.corner[0]), ((0.0, 1.0, 0.0), seen.corner[1])]
-            bias = 0.0
-        for normal, offset in planes:
-            points.append(p)
-            normals.append(np.tile(np.asarray(normal, dtype=float), (len(p), 1)))
-            offsets.append(np.full(len(p), float(offset)))
-            sigmas.append(np.full(len(p), seen.sigma))
-            biases.append(np.full(len(p), bias))
+        normals.append(np.tile(np.asarray(seen.normal, dtype=float), (len(p), 1)))
+        points.append(p)
+        offsets.append(np.full(len(p), float(seen.offset)))
+        sigmas.append(np.full(len(p), seen.sigma))
+        biases.append(np.full(len(p), seen.bias))
     count = sum(len(p) for p in points)
     if count < MIN_POINTS:
-        raise ValueError(f"calibration: {count} points on walls and edges, wanted {MIN_POINTS}")
+        raise ValueError(f"calibration: {count} points on walls, wanted {MIN_POINTS}")
     stacked = tuple(np.concatenate(part) for part in (normals, points, offsets, sigmas, biases))
     if not all(np.all(np.isfinite(part)) for part in stacked):
         raise ValueError("calibration: an observation is not finite")

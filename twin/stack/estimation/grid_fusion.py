@@ -35,10 +35,10 @@ def fuse_probability(rgbd: NDArray[np.floating], lidar: NDArray[np.floating]) ->
 
 
 def fuse(rgbd: OccupancyGrid, lidar: OccupancyGrid) -> OccupancyGrid:
-    """Fused grid: states by Table 1, log-odds by Eq. 5 as far as the state allows.
+    """Fused grid: states by Table 1, probabilities by Eq. 5 as far as the state allows.
 
-    In log-odds Eq. 5 is a sum. Where the sensors contradict each other, the sum may fall on the
-    wrong side of a threshold; it is then moved to it.
+    Where the sensors contradict each other, Eq. 5 may fall on the wrong side of a threshold; it is
+    then moved to it.
 
     Raises:
         ValueError: if the grids do not lie on each other.
@@ -50,7 +50,9 @@ def fuse(rgbd: OccupancyGrid, lidar: OccupancyGrid) -> OccupancyGrid:
             f"{rgbd.origin} and {lidar.shape} of {lidar.resolution} m at {lidar.origin}"
         )
     states = fuse_states(rgbd.states(), lidar.states())
-    total = rgbd.log_odds + lidar.log_odds
+    each = (grid.probability.astype(float) for grid in (rgbd, lidar))
+    p = fuse_probability(*each)
+    total = np.log(p / (1 - p))
     high = np.log(lidar.occupied_above / (1 - lidar.occupied_above))
     low = np.log(lidar.free_below / (1 - lidar.free_below))
     total = np.where(states == OCCUPIED, np.maximum(total, high + EDGE), total)

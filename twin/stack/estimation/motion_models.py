@@ -101,8 +101,13 @@ def mismatch(step: Array, other: Array) -> Array:
 
     With the reported step and the step between two assumed poses it is the error of the odometry
     under that assumption. Shape (3,).
+
+    Both are split alike, as paths ahead or back: a strafe lies between the two, and half a turn
+    apart is no error.
     """
     a, b = split(step), split(other)
+    if abs(wrap_angle(a[0] - b[0])) > np.pi / 2:
+        b = b[0] + np.pi, -b[1], b[2] - np.pi
     return np.array([wrap_angle(a[0] - b[0]), a[1] - b[1], wrap_angle(a[2] - b[2])])
 
 

@@ -15,7 +15,7 @@ from twin.geometry import Array, between2, inverse, transform, wrap_angle
 from twin.messages import LidarScan, RgbdFrame
 from twin.stack.config import StackConfig
 from twin.stack.estimation.extrinsic_calibration import (
-    Observation,
+    PlaneObservation,
     calibrate,
     fixed_angles,
     rotation_xyz,
@@ -153,7 +153,7 @@ class CalibrationRun:
         T = inverse(config.T_base_lidar) @ config.rgbd.T_base_camera
         removed, found = 0.0, None
         for _ in range(ROUNDS):
-            seen: list[Observation] = []
+            seen: list[PlaneObservation] = []
             for scan, frame, moved in self._pairs:
                 seen += observe_walls(
                     without_offset(scan, removed),

@@ -17,6 +17,7 @@ MIN_LENGTH = 0.20  # m of line that points must span
 TRIM = 3.0  # times the median distance beyond which a point is no part of the line
 FLOOR = 0.01  # m: range noise, below which nothing is trimmed
 ROUNDS = 5
+STEEP = np.pi / 4  # angle from which a line is fitted by distances, not by errors along y
 PAIRS = 60  # of points through which a first line is tried: with half of the points on the line,
 # the chance that no pair is on it is 0.75^60
 
@@ -85,6 +86,25 @@ def total_least_squares(points: Array) -> LineFit | None:
     return LineFit(angle, float(mean @ normal), rms, len(points))
 
 
+def line_through(points: Array) -> LineFit | None:
+    """Line through all points: the source's least squares, or that of distances if it is steep.
+
+    Errors along y serve for a line along the way, as they do in the source; a line across it has no
+    slope in y. Shape (n, 2).
+    """
+    line = total_least_squares(points)
+    if line is None or abs(line.angle) > STEEP:
+        return line
+    points, straight = _finite(points), least_squares(points)
+    if straight is None:
+        return line
+    a0, a1 = straight
+    angle = float(np.arctan(a1))
+    distance = a0 * float(np.cos(angle))
+    off = _off(points, angle, distance)
+    return LineFit(angle, distance, float(np.sqrt(np.mean(off**2))), len(points))
+
+
 def fit_line(points: Array) -> LineFit | None:
     """Line through most of the points: what lies off it is trimmed, round by round.
 
@@ -104,7 +124,7 @@ def fit_line(points: Array) -> LineFit | None:
         if np.array_equal(inside, kept):
             break
         kept = inside
-        line = total_least_squares(points[kept]) if np.sum(kept) >= MIN_POINTS else None
+        line = line_through(points[kept]) if np.sum(kept) >= MIN_POINTS else None
         off = None if line is None else np.abs(_off(points, line.angle, line.distance))
     if line is None:
         return None
