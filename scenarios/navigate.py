@@ -16,7 +16,7 @@ from twin.geometry import compose2
 from twin.layout import Layout, LayoutError, Mover, Obstacle
 from twin.messages import DriveOrder, Goal
 
-LONGEST = 420.0  # s of simulated time after which the run is given up
+LONGEST = 600.0  # s of simulated time after which the run is given up
 SETTLE = 0.3  # s after the last goal
 
 RACKS = 6  # goals among the racks
