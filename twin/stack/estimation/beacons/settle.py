@@ -1,11 +1,13 @@
 """Which nodes to trust: the pose stands only if no other choice of the culprit explains the data.
 
 A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, nodes that a
-plane met twice, which are beside a mirror for sure, are left out; if there are none, every single
-node, then every pair, is tried as the culprit. The pose is given only if all choices that leave an
-acceptable rest, and a vehicle that stands on the floor, lead to the same place. Rejecting the
-crossing with the largest residual, as is usual, picks the wrong culprit in about one of a hundred
-small reflections.
+plane met twice, which are beside a mirror for sure, are left out; if there are none, or the others
+do not agree either, every single node is tried as the culprit. If none can be, and seven nodes or
+more are left to check one another, every pair is. The pose is given only if all choices that leave
+an acceptable rest, and a vehicle that stands on the floor, lead to the same place. A choice whose
+rest is too small to be tested may be the right one, so then there is no fix. Rejecting the crossing
+with the largest residual, as is usual, picks the wrong culprit in about one of a hundred small
+reflections.
 """
 
 from dataclasses import dataclass
@@ -81,9 +83,9 @@ def settle(
     def fits(culprits: tuple[int, ...], strict: bool, least: int = LEAST_FREEDOM) -> list[Settled]:
         found = []
         for start, rows in product(apart, readings):
-            rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
-            if len(rest) - 6 < least or _redundancy(rest, node) is not None:
+            if not _checked(rows, node, culprits, least):
                 continue
+            rest = rows[~np.isin(node[rows], culprits)]
             fitted = _fitted(start, rest, data, covariance, floor)
             if fitted is not None and fitted.acceptable(strict):
                 found.append(fitted)
@@ -99,9 +101,15 @@ def settle(
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
             break
-        for culprits in combinations(trusted, count):
-            # What is left must check itself better than those left out could check it.
-            agreeing += fits(culprits, False, LEAST_FREEDOM * count)
+        # What is left must check itself better than those left out could check it.
+        least = LEAST_FREEDOM * count
+        choices = list(combinations(trusted, count))
+        if not all(_checked(readings[0], node, culprits, least) for culprits in choices):
+            if count == 1:
+                return NoFix("no redundancy", "without the node that lies too little may be left")
+            break
+        for culprits in choices:
+            agreeing += fits(culprits, False, least)
     if agreeing:
         agreeing = _plausible(agreeing, floor)
         if _one_place(agreeing):
@@ -190,6 +198,14 @@ def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | Non
     if count < LEAST_NODES or len(rows) < 6 + LEAST_FREEDOM:
         return NoFix("no redundancy", f"{len(rows)} crossings of {count} nodes, wanted 8 of 4")
     return None
+
+
+def _checked(
+    rows: NDArray[np.int64], node: NDArray[np.int64], culprits: tuple[int, ...], least: int
+) -> bool:
+    """Whether what is left without the culprits can contradict itself."""
+    rest = rows[~np.isin(node[rows], culprits)]
+    return len(rest) - 6 >= least and _redundancy(rest, node) is None
 
 
 def _one_place(fits: list[Settled]) -> bool:
