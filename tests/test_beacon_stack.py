@@ -256,10 +256,9 @@ def test_a_vehicle_that_was_carried_off_is_believed_after_a_while():
 
 FOUND = BeaconCalibration(
     planes=(0.79, 0.78, 1.57),
-    planes_sigma=(1e-5, 1e-5, 1e-5),
     mount_position=(0.32, -0.22, 0.921),
     mount_quat_wxyz=(0.0, 0.0, 0.0, 1.0),
-    mount_sigma=(1e-3,) * 6,
+    covariance=np.diag([1e-10] * 3 + [1e-6] * 6).tolist(),
     stops=12,
     turns=600,
 )
@@ -278,7 +277,9 @@ def test_a_calibration_survives_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"version": 2}, "version"),
+        ({"version": 1}, "version"),
+        ({"covariance": [[0.0] * 9] * 9}, "covariance"),
+        ({"covariance": [[1.0] * 9] * 8}, "covariance"),
         ({"planes": [1, 2]}, "planes"),
         ({"planes": [1, 2, float("nan")]}, "planes"),
         ({"wheels": 4}, "wheels"),
@@ -322,7 +323,7 @@ def test_a_calibration_drive_finds_planes_and_mount():
     found = run.solve()
     assert found.stops == len(STOPS) and found.turns == 4 * len(STOPS)
     left = np.array(found.planes) - planes.as_array()
-    assert np.all(np.abs(left) < 5 * np.array(found.planes_sigma)) and np.abs(left).max() < 5e-4
+    assert np.all(np.abs(left) < 5 * found.sigma[:3]) and np.abs(left).max() < 5e-4
     T = found.applied(drawn).beacons.T_base_head
     assert T[:3, 3] == pytest.approx(true[:3, 3], abs=1.5e-3)
     assert np.linalg.norm(log_rotation(true[:3, :3].T @ T[:3, :3])) < 2e-3

@@ -66,10 +66,12 @@ class BeaconFusion:
         way = odometry[:2] - self.filter.odometry[:2]
         self.filter.carry(odometry, found.stamp, growth(self._reckoned, reckoned, way))
         self._reckoned = reckoned
-        fused = self.filter.update(found.T_world_base, found.covariance)
+        # What all fixes share does not average out: the filter keeps it apart.
+        own, self.filter.common = found.covariance - found.common, found.common
+        fused = self.filter.update(found.T_world_base, own)
         self._outside = 0 if fused else self._outside + 1
         if self._outside >= PATIENCE:  # carried off: the fixes agree, the filter does not
-            self.filter.T, self.filter.P = found.T_world_base, found.covariance.copy()
+            self.filter.T, self.filter.P = found.T_world_base, own
             self._outside, fused = 0, True
         if fused:
             self._fused_at = found.stamp
