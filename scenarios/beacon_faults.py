@@ -1,6 +1,6 @@
 """Ten thousand turns of the head with one node blocked and another one reflecting.
 
-The vehicle is carried to twenty places before the truss and stands there; every 20 turns the lot
+The vehicle is carried to twenty places before the truss and stands there; at every turn the lot
 makes another node blocked and another one see the head by way of a mirror as well, or only so.
 Each turn is a trial of its own, without memory. Only turns count in which a reflected crossing was
 stamped: mirrors tremble, and some images lie where no light comes. A fix counts as wrong if it is
@@ -32,7 +32,7 @@ from twin.stack.estimation.beacons.stamps import NoFix, StampBatch
 from twin.stack.tasks.arm_worker import ArmWorker
 
 TRIALS, PLACES = 10_000, 20
-HELD = 20  # turns after which other nodes are blocked and reflect, where the layout says nothing
+HELD = 1  # turn after which other nodes are blocked and reflect, where the layout says nothing
 MOST = 3  # turns for each trial at which a place is given up
 X, Y, YAW = (1.2, 2.3), (1.4, 3.8), 0.4  # m, rad about facing the truss: where the vehicle stands
 SETTLE = 0.4  # s until it stands still after it was put down
@@ -70,8 +70,8 @@ class Trial:
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the trials."""
     found = calibrated_field(request, with_trouble(layout))
-    if found is None:
-        return RunResult(notes=["the calibration drive was broken off"])
+    if isinstance(found, str):
+        return RunResult(notes=[found])
     request, field = found
     begun, turns = time.perf_counter(), []
     config = belief(field)

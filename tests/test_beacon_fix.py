@@ -68,6 +68,14 @@ def test_exact_stamps_give_the_pose(rate):
     assert len(found.used) == 12 and not found.rejected and found.freedom == 6
 
 
+@pytest.mark.parametrize("rate", [20.0, 50.0])
+def test_pulses_at_any_phase_align_the_clocks(rate):
+    world = BeaconWorld(spin_rate=rate, drift=50e-6)
+    place = locator(world)
+    for seed in range(40):
+        fixed(place.fix(world.batch(np.random.default_rng(seed), noisy=False)))
+
+
 def test_motion_is_compensated():
     """At 0.5 m/s a turn of the head takes 16 mm; given the twist, that does no harm."""
     world = BeaconWorld(twist=np.array([0.5, -0.2, 0.0, 0.0, 0.0, 0.4]))
@@ -230,7 +238,7 @@ def test_missed_pulses():
     rng = np.random.default_rng(0)
     found = [locator(world).fix(world.batch(rng)) for _ in range(20)]
     good = [f for f in found if isinstance(f, Fix)]
-    assert len(good) >= 12  # a batch of one turn holds 7 pulses, 5 of which must be left
+    assert len(good) >= 12  # a batch of one turn holds 8 pulses, 5 of which must be left
     for f in good:
         left = error(f, world)
         assert left @ np.linalg.solve(f.head_covariance, left) < 30.0
@@ -313,7 +321,9 @@ def test_bad_input_is_named():
         found = place.fix(bad)
         assert isinstance(found, NoFix) and found.reason == reason, reason
         four = ("T1", "T2", "T3", "T4")
-        assert isinstance(place.source_fix(bad, four), NoFix) or reason == "malformed stamps"
+        source = place.source_fix(bad, four)
+        assert isinstance(source, NoFix)
+        assert source.reason == reason or reason == "few nodes"  # another node is missing there
     assert isinstance(place.fix(stamps, np.full(6, np.nan)), NoFix)
     no_light = without(stamps, (stamps.channel == T0) & (stamps.kind == SYNC))
     found = place.fix(no_light)

@@ -148,7 +148,7 @@ class BeaconSensor:
             time = self._crossing_time(plane, p0, p1, t0, t1)
             if time is None or not span[0] < time <= span[1]:
                 continue
-            if image.direct and not self._seen(image, T1, model, data):
+            if not self._seen(image, T1, model, data):
                 continue
             stamped = self._note(time, image.node + 1, PLANE_1 + plane, self._crossing)
             if stamped and not image.direct:
@@ -184,7 +184,10 @@ class BeaconSensor:
         return time if along > 0 and abs(up) < FAN * math.hypot(along, across) else None
 
     def _seen(self, image: Image, T_world_head: Array, model, data) -> bool:
-        """Whether light from the head reaches a diode: near enough, before it, nothing between."""
+        """Whether light from the head reaches a diode: near enough, before it, nothing between.
+
+        Of a reflection, the way to the image counts, up to where the mirror may stand.
+        """
         origin = T_world_head[:3, 3]
         way = image.place - origin
         distance = float(np.linalg.norm(way))
@@ -193,7 +196,7 @@ class BeaconSensor:
         hit = np.array([-1], dtype=np.int32)
         ray = way / distance
         free = mujoco.mj_ray(model, data, origin, ray, GROUPS, 1, self._head, hit)
-        return bool(hit[0] < 0 or free >= distance - HOUSING)
+        return bool(hit[0] < 0 or free >= distance - HOUSING - image.mirror)
 
     # --- stamps ----------------------------------------------------------------------------------
 

@@ -2,8 +2,9 @@
 
 `Locator.fix` is our estimator: clocks by a line, all visible nodes at once, each crossing at its
 own instant, outliers rejected, never without redundancy. `Locator.source_fix` is the method of
-Liu et al. 2022 beside it: neighbouring pulses, the speed of the revolution before, three nodes in
-closed form and a fourth to choose.
+Liu et al. 2022 beside it: neighbouring pulses, three nodes in closed form and a fourth to choose.
+Its Eq. 3 takes the speed of the revolution before; a batch of the plant holds one revolution and
+the stack keeps none, so what runs there is the speed of the revolution itself.
 """
 
 from dataclasses import dataclass, field
@@ -126,12 +127,8 @@ class Locator:
 
     def crossings(self, stamps: StampBatch) -> tuple[Crossings, float] | NoFix:
         """Angles of the last whole revolution, and the time of its middle."""
-        unknown = [name for name in stamps.nodes if name not in self.survey.index]
-        if unknown:
-            known = ", ".join(self.survey.names)
-            return NoFix("unknown node", f"{unknown[0]} is not in the survey; it has {known}")
-        if len(set(stamps.nodes)) < len(stamps.nodes):
-            return NoFix("malformed stamps", "a node stands in the batch twice")
+        if fault := self._names_fault(stamps):
+            return fault
         aligned = align(stamps, self.sequence, self.counter, self.noise)
         if isinstance(aligned, NoFix):
             return aligned
@@ -253,9 +250,9 @@ class Locator:
         """`T_world_head` by the source's method: three nodes, and a fourth to choose. (4, 4).
 
         Angles by Eqs. 2 and 3 with the speed of the revolution before; where the batch holds but
-        one revolution, by its own.
+        one revolution, as the plant's do, by its own.
         """
-        if fault := self._four_fault(stamps, four):
+        if fault := self._names_fault(stamps) or self._four_fault(stamps, four):
             return fault
         aligned = align(stamps, self.sequence, self.counter, self.noise, interpolate=True)
         if isinstance(aligned, NoFix):
@@ -295,6 +292,15 @@ class Locator:
         if conditioning(apply(T_head_world, nodes[:3])) < DANGER:
             return NoFix("danger cylinder", "the head stands on the cylinder through three nodes")
         return inverse(T_head_world)  # Eqs. 27, 28
+
+    def _names_fault(self, stamps: StampBatch) -> NoFix | None:
+        unknown = [name for name in stamps.nodes if name not in self.survey.index]
+        if unknown:
+            known = ", ".join(self.survey.names)
+            return NoFix("unknown node", f"{unknown[0]} is not in the survey; it has {known}")
+        if len(set(stamps.nodes)) < len(stamps.nodes):
+            return NoFix("malformed stamps", "a node stands in the batch twice")
+        return None
 
     def _four_fault(self, stamps: StampBatch, four: tuple[str, ...]) -> NoFix | None:
         for name in four:
