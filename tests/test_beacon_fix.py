@@ -331,7 +331,11 @@ def test_bad_input_is_named():
 
 
 def test_random_rubbish_never_crashes():
-    """Expected result: no fix, whatever the bits."""
+    """Expected: no fix of random bits.
+
+    Of true stamps, of which nodes have a third shifted, no fix, or one by those that are not,
+    within five sigma of its own.
+    """
     rng, place = np.random.default_rng(0), locator(BeaconWorld())
     for _ in range(200):
         n = int(rng.integers(0, 60))
@@ -343,13 +347,15 @@ def test_random_rubbish_never_crashes():
         )
         assert isinstance(place.fix(stamps), NoFix)
     world = BeaconWorld()
-    for _ in range(60):  # true stamps of which many are shuffled about
+    for _ in range(200):  # true stamps of which many are shuffled about
         stamps = world.batch(rng)
         ticks = stamps.ticks.copy()
-        hit = (rng.random(len(ticks)) < 0.3) & (stamps.kind != SYNC)
+        hit = (rng.random(len(ticks)) < 0.3) & (stamps.kind != SYNC) & (stamps.channel != T0)
         ticks[hit] += rng.integers(-20_000, 20_000, int(hit.sum()))
         found = place.fix(replace(stamps, ticks=ticks))
-        assert isinstance(found, NoFix) or np.abs(error(found, world)[:3]).max() < 0.03
+        if isinstance(found, Fix):
+            sigma = np.sqrt(np.diag(found.head_covariance))[:3]
+            assert np.all(np.abs(error(found, world)[:3]) < 5.0 * sigma)
 
 
 def test_loose_geometry_is_no_fix():
