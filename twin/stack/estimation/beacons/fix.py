@@ -122,6 +122,14 @@ class Locator:
         return normals(self.head), derivatives
 
     @cached_property
+    def _floor(self) -> Array:
+        return floor_of(self.T_base_head, self.height, self.tilt)
+
+    @cached_property
+    def _T_head_base(self) -> Array:
+        return inverse(self.T_base_head)
+
+    @cached_property
     def _by_mount(self) -> Array:
         return base_from_mount(self.T_base_head)
 
@@ -167,7 +175,7 @@ class Locator:
         A, s = motion(twist, seen.time)
         still = bool(np.abs(twist).max() < STILL)
         data = nodes, sigma_node, seen.node, seen.plane, seen.theta, self._planes[0], A, s
-        floor = floor_of(self.T_base_head, self.height, self.tilt)
+        floor = self._floor
         R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still, floor)
         if visible < 3:
             return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
@@ -190,7 +198,7 @@ class Locator:
         if not sigma < self.loosest:
             return self._loose(settled, nodes[np.unique(seen.node[rows])], sigma)
         T_world_head = transform(settled.R, settled.p)
-        T_head_base = inverse(self.T_base_head)
+        T_head_base = self._T_head_base
         T_world_base = T_world_head @ T_head_base
         gain = pose_by_angles(settled.R, settled.p, rows, *data, whole, covariance)
         shifts = -gain @ D[rows]

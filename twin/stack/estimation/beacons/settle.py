@@ -83,9 +83,9 @@ def settle(
     def fits(culprits: tuple[int, ...], strict: bool, least: int = LEAST_FREEDOM) -> list[Settled]:
         found = []
         for start, rows in product(apart, readings):
-            if not _checked(rows, node, culprits, least):
+            rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
+            if not _checked(rest, node, least):
                 continue
-            rest = rows[~np.isin(node[rows], culprits)]
             fitted = _fitted(start, rest, data, covariance, floor)
             if fitted is not None and fitted.acceptable(strict):
                 found.append(fitted)
@@ -104,7 +104,8 @@ def settle(
         # What is left must check itself better than those left out could check it.
         least = LEAST_FREEDOM * count
         choices = list(combinations(trusted, count))
-        if not all(_checked(readings[0], node, culprits, least) for culprits in choices):
+        left = [readings[0][~np.isin(node[readings[0]], culprits)] for culprits in choices]
+        if not all(_checked(rest, node, least) for rest in left):
             if count == 1:
                 return NoFix("no redundancy", "without the node that lies too little may be left")
             break
@@ -200,18 +201,15 @@ def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | Non
     return None
 
 
-def _checked(
-    rows: NDArray[np.int64], node: NDArray[np.int64], culprits: tuple[int, ...], least: int
-) -> bool:
+def _checked(rest: NDArray[np.int64], node: NDArray[np.int64], least: int) -> bool:
     """Whether what is left without the culprits can contradict itself."""
-    rest = rows[~np.isin(node[rows], culprits)]
     return len(rest) - 6 >= least and _redundancy(rest, node) is None
 
 
 def _one_place(fits: list[Settled]) -> bool:
     """Whether the best one's place is that of all."""
     best = _best(fits)
-    return all(_same_place(best, other) for other in fits)
+    return all(other is best or _same_place(best, other) for other in fits)
 
 
 def _same_place(a: Settled, b: Settled) -> bool:
