@@ -17,8 +17,8 @@
 # # The photoelectric network
 #
 # The two figures of Liu et al. 2022 beside ours. The source prints no data, only what its figures
-# show: sigmas of 0.40, 2.62 and 2.80 mm along x, y and z, all errors of x within 2 mm and of y and z
-# within 5 mm (Fig. 11), and residuals within 10 mm whatever the distance (Fig. 12). Those are the
+# show: sigmas of 0.40, 2.62 and 2.80 mm along x, y and z, all errors of x within 2 mm and of y and
+# z within 5 mm (Fig. 11), and residuals within 10 mm whatever the distance (Fig. 12). Those are the
 # bands below. Our data are of full runs, kept beside this notebook, which these commands made:
 #
 # ```sh

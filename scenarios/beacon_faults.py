@@ -4,9 +4,10 @@ The vehicle is carried to twenty places before the truss and stands there; at ev
 makes another node blocked and another one see the head by way of a mirror as well, or only so.
 Each turn is a trial of its own, without memory. Only turns count in which a reflected crossing was
 stamped: mirrors tremble, and some images lie where no light comes. A fix counts as wrong if it is
-more than five sigma off along an axis, by the Cramer-Rao bound of the crossings that were stamped of
-nodes that are neither blocked nor reflect, and of how well the calibration knows the planes. What the layout itself has go wrong goes wrong besides. While the vehicle
-stands, physics is not stepped on. All metrics come from plant truth.
+more than five sigma off along an axis, by the Cramer-Rao bound of what was stamped by nodes that
+are neither blocked nor reflect, the planes known as well as the calibration says. What the layout
+itself has go wrong goes wrong besides. While the vehicle stands, physics is not stepped on. All
+metrics come from plant truth.
 """
 
 import time

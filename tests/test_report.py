@@ -170,7 +170,7 @@ def test_a_metric_with_two_limits_is_met_if_both_are():
     limits = [Criterion("gain", ">=", 0.9), Criterion("gain", "<=", 1.1)]
     low, good = (report_of(metrics={"gain": v}, criteria=limits) for v in (0.8, 1.0))
     for report, said in ((low, "[red]not met[/]"), (good, "[green]met[/]")):
-        cells = [list(column.cells)[0] for column in report_table(report).columns]
+        cells = [next(iter(column.cells)) for column in report_table(report).columns]
         assert cells[0] == "gain" and cells[2:] == [">= 0.9, <= 1.1", said]
     assert verdict(low).count("gain") == 1
     assert "| `gain` | >= 0.9, <= 1.1 |" in figures([low])

@@ -97,7 +97,7 @@ def problems(n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def failures(cases: int) -> tuple[int, int, int, float, float]:
-    """Cases that are not degenerate, failed by P3P and with the fourth node, microseconds of either.
+    """Sound cases, those failed by P3P and with the fourth node, and microseconds of either.
 
     Args:
         cases: that are not degenerate, at least.

@@ -29,7 +29,7 @@ PHI = np.array([np.pi / 4, np.pi / 4, np.pi / 2])  # rad, as drawn: phi_1, phi_2
 FAN = math.tan(math.radians(40.0))  # elevation over and under the head that the planes reach
 VIEW = np.cos(np.radians(60.0))  # of the angle between a diode's axis and the light
 NEAR, FAR = 0.5, 10.0  # m
-MARGIN = 6e-3  # s before and after a turn that a batch reaches: six pulses even at 50 turns a second
+MARGIN = 6e-3  # s before and after a turn that a batch reaches: six pulses at 50 turns a second
 HOUSING = 0.03  # m before a diode at which a ray may end: on its own housing
 TRIGGER = 20e-6  # s, 1 sigma, of the vehicle's own stamp of the turn's end; guess
 GROUPS = np.array([1, 1, 1, 0, 1, 0], dtype=np.uint8)  # all that is solid; 3 is collision only

@@ -173,7 +173,7 @@ class BeaconCalibrationRun:
         for k, (seen, (odometry, covariance)) in enumerate(zip(means, self._ways, strict=True)):
             pairs = zip(seen.node.tolist(), seen.plane.tolist(), strict=True)
             trusted = [(k, place.survey.names[n], m + 1) not in found.rejected for n, m in pairs]
-            rows = np.nonzero(trusted)[0]
+            rows = np.nonzero(np.array(trusted))[0]
             T, sure, shifts = place.refined(seen, found.R[k], found.p[k], rows)
             way = way_covariance = None
             if k:

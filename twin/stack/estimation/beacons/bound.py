@@ -142,7 +142,8 @@ def _information(T: Array, setting: Setting, twist: Array | None):
     J_pose, J_place, J_phi = _derivatives(T, nodes, setting, twist, times)
     for i in range(n):
         for k in range(2):
-            if not np.isfinite(times[i, k]) or (setting.seen is not None and not setting.seen[i, k]):
+            missed = setting.seen is not None and not setting.seen[i, k]
+            if missed or not np.isfinite(times[i, k]):
                 continue
             row = np.zeros(phi.stop)
             turned(row, float(times[i, k]))
