@@ -252,6 +252,20 @@ def test_a_vehicle_that_was_carried_off_is_believed_after_a_while():
     assert fusion.filter.T[1, 3] == pytest.approx(POSE[1] + 0.5, abs=0.01)
 
 
+def test_the_calibration_of_another_vehicle_is_doubted():
+    """Planes 4 mrad off what is believed: no turn makes a fix, and after a second that is said."""
+    fusion, rng = BeaconFusion(config()), np.random.default_rng(0)
+    planes = HeadParameters(
+        *(config().beacons.planes.as_array() + np.array([0.004, -0.004, 0.003]))
+    )
+    other, seen = world(head=planes), world()
+    said = [heard(fusion, other.batch(rng), 1.0 + k / 30).reason for k in range(31)]
+    assert not any("calibration" in reason for reason in said[:29])
+    assert said[-1].endswith("; never a fix: is the head's calibration of this vehicle?")
+    assert heard(fusion, seen.batch(rng), 2.1).reason == "fused"
+    assert "calibration" not in heard(fusion, other.batch(rng), 2.2).reason
+
+
 # --- calibration file ---------------------------------------------------------------------------
 
 FOUND = BeaconCalibration(
