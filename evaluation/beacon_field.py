@@ -12,16 +12,19 @@ from pydantic import ValidationError
 
 from evaluation.run import RunRequest
 from evaluation.simulation import Simulation
-from twin.geometry import wrap_angle
+from twin.geometry import pose2_to_transform, wrap_angle
 from twin.layout import Layout, LayoutError
 from twin.messages import BeaconOrder
-from twin.site import Pose2
+from twin.plant.beacons import T_BASE_HEAD
+from twin.plant.sensors.beacons import FAN, FAR, NEAR, VIEW
+from twin.site import BeaconNetwork, Pose2
 from twin.stack.estimation.beacon_calibration import (
     load_beacon_calibration,
     save_beacon_calibration,
 )
 
 DOCK = (2.5, 2.6, float(np.pi))  # x, y, yaw: the truss is 3.1 m ahead of the head
+LEAST_SEEN = 4  # nodes that tell the head's pose
 FILE = "beacon_calibration.json"
 WEST = float(np.pi)  # yaw that faces the truss
 # Where a layout's own dock is kept: m, and rad about facing the truss
@@ -43,6 +46,7 @@ STOPS = (
     (2.2, 2.0, WEST + 0.5),
 )
 DWELL = 1.7  # s at each stop: 50 turns of the head
+BROKEN_OFF = "the calibration drive was broken off"
 LONGEST = 240.0  # s of simulated time after which a calibration drive is given up
 
 
@@ -53,11 +57,15 @@ def in_the_field(layout: Layout) -> Layout:
     pictures, and they cost most of the time.
 
     Raises:
-        LayoutError: one line, for a layout without a network or whose field is not free.
+        LayoutError: one line, for a layout without a network, whose field is not free, or whose
+            nodes are out of sight of the stops.
     """
     world, site, options = layout.world, layout.site, layout.options
     if site.beacons is None:
         raise LayoutError("site.beacons: there is no photoelectric network in this layout")
+    if world.beacons.missed >= 1.0:
+        raise LayoutError("world.beacons.missed: 1 leaves no light pulse to hear")
+    _check_view(site.beacons)
     beacons = world.beacons.model_copy(update={"fitted": True})
     sensors = world.sensors.model_copy(update={"cameras": False})
     world = world.model_copy(update={"beacons": beacons, "sensors": sensors})
@@ -73,22 +81,42 @@ def in_the_field(layout: Layout) -> Layout:
         raise LayoutError(f"the field before the truss, dock at {site.dock[:2]}: {why}") from None
 
 
+def _check_view(network: BeaconNetwork) -> None:
+    """Most nodes must be in range and view of the head at every stop of the calibration.
+
+    What stands in between is not looked at: whether light passes shows when it is driven.
+    """
+    p = np.array([node.position for node in network.nodes])
+    facing = np.array([node.facing for node in network.nodes])
+    axis = np.stack([np.cos(facing), np.sin(facing), 0 * facing], axis=1)
+    wanted = max(LEAST_SEEN, len(p) // 2 + 1)
+    for stop in STOPS:
+        way = p - (pose2_to_transform(stop) @ T_BASE_HEAD)[:3, 3]
+        far = np.linalg.norm(way, axis=1)
+        seen = (far >= NEAR) & (far <= FAR) & (-np.sum(way * axis, axis=1) >= VIEW * far)
+        seen &= (np.abs(way[:, 2]) < FAN * np.hypot(way[:, 0], way[:, 1])) & (p[:, 2] > 0.0)
+        if seen.sum() < wanted:
+            raise LayoutError(
+                f"site.beacons.nodes: {seen.sum()} of {len(p)} in range and view of the head at "
+                f"({stop[0]}, {stop[1]}), wanted {wanted}"
+            )
+
+
 def _before_the_truss(pose: Pose2) -> bool:
     x, y, yaw = pose
     turned = abs(float(wrap_angle(yaw - WEST)))
     return FIELD_X[0] <= x <= FIELD_X[1] and FIELD_Y[0] <= y <= FIELD_Y[1] and turned <= FACING
 
 
-def calibrated_field(request: RunRequest, layout: Layout) -> tuple[RunRequest, Layout] | None:
+def calibrated_field(request: RunRequest, layout: Layout) -> tuple[RunRequest, Layout] | str:
     """The field with a calibration of this vehicle's head, and what of the run is left to do.
 
     Without a file in the options the drive is made first, on a day without faults of the network,
     and its file left in the run's folder. Its time counts: a `--duration` that ends within it
-    breaks it off, and nothing is returned.
+    breaks it off. If there is no calibration in the end, one line says why.
 
     Raises:
         LayoutError: the file that the options name cannot be read.
-        ValueError: one line, if the drive did not determine the calibration.
     """
     layout = in_the_field(layout)
     if layout.options.beacon_calibration is not None:
@@ -107,13 +135,16 @@ def calibrated_field(request: RunRequest, layout: Layout) -> tuple[RunRequest, L
     bare = bare.model_copy(update={"world": bare.world.model_copy(update={"faults": faults})})
     with Simulation(quiet, bare, BeaconOrder(0.0, STOPS, DWELL)) as sim:
         if not sim.run(LONGEST, lambda tick: sim.stack.done) or sim.stack.head is None:
-            return None
+            return BROKEN_OFF
         path = request.out / FILE
-        save_beacon_calibration(sim.stack.head.solve(), path)
+        try:
+            save_beacon_calibration(sim.stack.head.solve(), path)
+        except ValueError as error:
+            return f"the calibration drive found nothing: {error}"
         spent = sim.plant.time
     left = None if request.duration is None else request.duration - spent
     if left is not None and left <= 0.0:
-        return None
+        return BROKEN_OFF
     options = layout.options.model_copy(update={"beacon_calibration": str(path)})
     return replace(request, duration=left), layout.model_copy(update={"options": options})
 

@@ -96,11 +96,13 @@ def true_setting(
     places = node_positions(network, plant.as_built.floor_seed, layout.world.tolerances.scale)
     wanted = [node.name for node in network.nodes] if names is None else list(names)
     keep = [i for i, node in enumerate(network.nodes) if node.name in wanted]
-    sigma = np.array([network.survey_sigma(network.nodes[i]) for i in keep])
+    tolerance, noise = layout.world.tolerances.scale, layout.world.sensors.noise_scale
+    sigma = tolerance * np.array([network.survey_sigma(network.nodes[i]) for i in keep])
+    stamped = noise * np.array([hardware.crossing_noise, hardware.sync_noise, hardware.spin_jitter])
     return Setting(
         NodeSurvey(tuple(network.nodes[i].name for i in keep), places[keep], surveyed * sigma),
         true_planes(plant),
-        Noise(hardware.crossing_noise, hardware.sync_noise, hardware.spin_jitter),
+        Noise(*stamped.tolist()),
         spin_rate=network.spin_rate,
     )
 

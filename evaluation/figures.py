@@ -11,10 +11,12 @@ import statistics
 import sys
 from pathlib import Path
 
+from evaluation.report import by_name, show_limits
+
 
 def figures(reports: list[dict]) -> str:
     """Markdown table over reports of one scenario; a metric that a run lacks is left out there."""
-    limits = {c["name"]: f"{c['op']} {c['limit']:g}" for c in reports[0]["criteria"]}
+    limits = {n: show_limits(c) for n, c in by_name(reports[0]["criteria"]).items()}
     lines = ["| metric | limit | median | least | greatest |", "|---|---|---|---|---|"]
     for name in reports[0]["metrics"]:
         values = [r["metrics"].get(name) for r in reports]

@@ -84,8 +84,10 @@ def plot_repeat(axes: Axes, folder: Path, method: str) -> None:
         places = 1e3 * (series[method] - series[method].mean(axis=0))
     for axis, values in zip("xyz", places.T, strict=True):
         axes.plot(values, linewidth=0.7, label=f"{axis}: sigma {values.std():.2f} mm")
+    for size, shade, label in ((5, "0.95", "y, z"), (2, "0.88", "x")):
+        axes.axhspan(-size, size, color=shade, zorder=0, label=f"{label} within, as printed")
     axes.set(xlabel="measurement", ylabel="error (mm)", title=method)
-    axes.legend()
+    axes.legend(fontsize=8)
 
 
 def plot_moves(axes: Axes, folder: Path) -> None:

@@ -68,7 +68,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 def report_table(report: dict[str, Any]) -> Table:
     """Metrics beside their limits."""
-    limits = {c["name"]: c for c in report["criteria"]}
+    limits = by_name(report["criteria"])
     table = Table(title=f"{report['scenario']}, seed {report['seed']}", title_justify="left")
     table.add_column("metric")
     table.add_column("value", justify="right")
@@ -77,13 +77,26 @@ def report_table(report: dict[str, Any]) -> Table:
     for name in [*report["metrics"], *(n for n in limits if n not in report["metrics"])]:
         value = report["metrics"].get(name)
         shown = "not measured" if value is None else format_value(value)
-        limit = limits.get(name)
-        if limit is None:
+        here = limits.get(name)
+        if here is None:
             table.add_row(name, shown, "", "")
             continue
-        verdict = "[green]met[/]" if limit["passed"] else "[red]not met[/]"
-        table.add_row(name, shown, f"{limit['op']} {limit['limit']:g}", verdict)
+        verdict = "[green]met[/]" if all(c["passed"] for c in here) else "[red]not met[/]"
+        table.add_row(name, shown, show_limits(here), verdict)
     return table
+
+
+def by_name(criteria: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """A report's criteria by metric, which may have several."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for criterion in criteria:
+        found.setdefault(criterion["name"], []).append(criterion)
+    return found
+
+
+def show_limits(criteria: Sequence[dict[str, Any]]) -> str:
+    """All limits of a metric, such as `>= 0.9, <= 1.1`."""
+    return ", ".join(f"{c['op']} {c['limit']:g}" for c in criteria)
 
 
 def metrics_page(metrics: Mapping[str, float]) -> str:
@@ -101,7 +114,7 @@ def format_value(value: float) -> str:
 
 def verdict(report: dict[str, Any]) -> str:
     """The outcome in one line."""
-    missed = [c["name"] for c in report["criteria"] if not c["passed"]]
+    missed = dict.fromkeys(c["name"] for c in report["criteria"] if not c["passed"])
     if report["passed"]:
         return "passed: every criterion met"
     parts = [] if report["complete"] else ["the run did not come to its end"]

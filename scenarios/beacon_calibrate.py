@@ -36,6 +36,7 @@ NAMES = ("phi_1", "phi_2", "phi_r")
 
 CRITERIA = [
     Criterion("angles_over_bound", "<=", 1.2),
+    *[Criterion(f"{name}_over_bound", "<=", 1.2) for name in NAMES],
     Criterion("calibrations", "==", float(CALIBRATIONS)),
     Criterion("collisions", "==", 0.0),
 ]

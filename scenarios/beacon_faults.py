@@ -1,16 +1,17 @@
 """Ten thousand turns of the head with one node blocked and another one reflecting.
 
-The vehicle is carried to twenty places before the truss and stands there; every 20 turns the lot
+The vehicle is carried to twenty places before the truss and stands there; at every turn the lot
 makes another node blocked and another one see the head by way of a mirror as well, or only so.
 Each turn is a trial of its own, without memory. Only turns count in which a reflected crossing was
 stamped: mirrors tremble, and some images lie where no light comes. A fix counts as wrong if it is
-more than five sigma off along an axis, by the Cramer-Rao bound of the nodes that are neither
-blocked nor reflect. What the layout itself has go wrong goes wrong besides. While the vehicle
-stands, physics is not stepped on. All metrics come from plant truth.
+more than five sigma off along an axis, by the Cramer-Rao bound of what was stamped by nodes that
+are neither blocked nor reflect, the planes known as well as the calibration says. What the layout
+itself has go wrong goes wrong besides. While the vehicle stands, physics is not stepped on. All
+metrics come from plant truth.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from twin.stack.estimation.beacons.stamps import NoFix, StampBatch
 from twin.stack.tasks.arm_worker import ArmWorker
 
 TRIALS, PLACES = 10_000, 20
-HELD = 20  # turns after which other nodes are blocked and reflect, where the layout says nothing
+HELD = 1  # turn after which other nodes are blocked and reflect, where the layout says nothing
 MOST = 3  # turns for each trial at which a place is given up
 X, Y, YAW = (1.2, 2.3), (1.4, 3.8), 0.4  # m, rad about facing the truss: where the vehicle stands
 SETTLE = 0.4  # s until it stands still after it was put down
@@ -70,8 +71,8 @@ class Trial:
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the trials."""
     found = calibrated_field(request, with_trouble(layout))
-    if found is None:
-        return RunResult(notes=["the calibration drive was broken off"])
+    if isinstance(found, str):
+        return RunResult(notes=[found])
     request, field = found
     begun, turns = time.perf_counter(), []
     config = belief(field)
@@ -89,7 +90,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
                 if bench.time >= (request.duration or np.inf):
                     break
                 here.append(bench.trial(receiver))
-            turns += here
+                turns.append(here[-1])
             request.progress(bench.time, bench.time * PLACES / (k + 1), f"place {k + 1}")
     except KeyboardInterrupt:
         pass  # what was measured so far is reported, marked incomplete
@@ -135,7 +136,7 @@ class Bench:
         self._here = 0.0  # s of the network's clocks since the vehicle was put down
         self._before = 0.0  # s at earlier places
         self._T, self._truth = np.eye(4), np.zeros(7)  # true pose of the head, of the base
-        self._sigmas: dict[tuple[str, ...], Array] = {}
+        self._sigmas: dict[frozenset[tuple[str, int]], Array] = {}
 
     @property
     def time(self) -> float:
@@ -165,17 +166,29 @@ class Bench:
         if not isinstance(found, Located):
             turn.reason = found.reason
             return turn
-        # The bound of this turn: a node whose clock missed its light has told nothing.
-        told = _timed(receiver.locator, stamp_batch(reading)) - ailing.dark - ailing.false
-        good = tuple(name for name in self._sensor.names if name in told)
+        # The bound of this turn: what was not stamped, or cannot be timed, has told nothing.
+        ill = ailing.dark | ailing.false
+        told = _timed(receiver.locator, stamp_batch(reading))
+        good = frozenset(pair for pair in told if pair[0] not in ill)
         if good not in self._sigmas:
-            bound = pose_bound(self._T, true_setting(self._plant, good))
-            self._sigmas[good] = position_sigma(bound)
+            self._sigmas[good] = self._sigma(good, receiver.locator)
         T_world_head = found.T_world_base @ receiver.locator.T_base_head
         turn.fix, sigma = pose7(found.T_world_base), self._sigmas[good]
         sigma = np.where(np.isfinite(sigma), sigma, np.nan)
         turn.off = (T_world_head[:3, 3] - self._T[:3, 3]) / sigma
         return turn
+
+    def _sigma(self, good: frozenset[tuple[str, int]], place: Locator) -> Array:
+        """Bound of the head's place by some crossings. Shape (3,)."""
+        names = tuple(n for n in self._sensor.names if {(n, 0), (n, 1)} & good)
+        if not names:
+            return np.full(3, np.inf)
+        seen = np.array([[(n, k) in good for k in range(2)] for n in names]).reshape(-1, 2)
+        setting = replace(true_setting(self._plant, names), seen=seen)
+        planes = place.head_covariance[:3, :3]
+        if np.any(planes):
+            setting = replace(setting, planes=planes)
+        return position_sigma(pose_bound(self._T, setting))
 
     def _turn(self) -> BeaconStamps:
         world = self._plant.world
@@ -186,13 +199,13 @@ class Bench:
                 return reading
 
 
-def _timed(place: Locator, batch: StampBatch) -> set[str]:
-    """Nodes of which both planes' crossings could be timed in a turn."""
+def _timed(place: Locator, batch: StampBatch) -> set[tuple[str, int]]:
+    """Node and plane, 0 or 1, of the crossings that could be timed in a turn."""
     measured = place.crossings(batch)
     if isinstance(measured, NoFix):
         return set()
-    node, plane = measured[0].node, measured[0].plane
-    return {name for n, name in enumerate(batch.nodes) if len(set(plane[node == n].tolist())) == 2}
+    node, plane = measured[0].node.tolist(), measured[0].plane.tolist()
+    return {(batch.nodes[n], k) for n, k in zip(node, plane, strict=True)}
 
 
 def paths(turns: list[Trial]) -> dict[str, Trajectory]:
@@ -212,12 +225,13 @@ def metrics(trials: list[Trial], turns: int) -> dict[str, float]:
     """All figures of the report; turns: of the head, those without a reflection too."""
     off = np.array([t.off for t in trials if t.off is not None]).reshape(-1, 3)
     worst = np.abs(off).max(axis=1) if len(off) else np.zeros(0)
+    judged = np.isfinite(worst)
     return {
         # What has no bound to be judged by is no right fix.
         "wrong_fixes": float(np.sum(~(worst <= BEYOND))) if trials else float("nan"),
         "fix_availability": len(off) / len(trials) if trials else float("nan"),
         "trials": float(len(trials)),
         "turns": float(turns),
-        "worst_error_sigma": float(worst.max()) if len(worst) else float("nan"),
-        "rms_error_sigma": rms(off),
+        "worst_error_sigma": float(worst[judged].max()) if judged.any() else float("nan"),
+        "rms_error_sigma": rms(off[judged]),
     }

@@ -44,8 +44,8 @@ CRITERIA = [
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the route."""
     found = calibrated_field(request, layout)
-    if found is None:
-        return RunResult(notes=["the calibration drive was broken off"])
+    if isinstance(found, str):
+        return RunResult(notes=[found])
     request, field = found
     watch = BeaconMonitor()
     config = belief(field)

@@ -39,8 +39,8 @@ CRITERIA = [
 def run(request: RunRequest, layout: Layout) -> RunResult:
     """Calibration drive, then the moves."""
     found = calibrated_field(request, layout)
-    if found is None:
-        return RunResult(notes=["the calibration drive was broken off"])
+    if isinstance(found, str):
+        return RunResult(notes=[found])
     request, field = found
     poses = moves(np.random.default_rng([request.seed, 5]), field.site.dock)
     watch = BeaconMonitor()

@@ -21,6 +21,7 @@ from twin.stack.estimation.beacons.stamps import (
     SyncSequence,
 )
 
+MARGIN = 6e-3  # s before and after the turns that a batch reaches
 NAMES = ("T1", "T2", "T3", "T4", "T5", "T6")
 # A flat truss of 2 m x 1 m on the wall x = 4 m, seen from the origin; not all on one circle.
 TRUSS = np.array(
@@ -65,6 +66,8 @@ class BeaconWorld:
     drift: float = 100e-6  # 1 sigma of the clocks' rates
     blocked: tuple = ()  # names
     missed_sync: float = 0.0  # probability
+    missed: float = 0.0  # probability that a node misses a plane
+    half_seen: dict = field(default_factory=dict)  # name -> kind of the plane that it misses
     reflections: dict = field(default_factory=dict)  # name -> (shift of p_world, keeps true one)
     revolutions: int = 1
 
@@ -93,10 +96,11 @@ class BeaconWorld:
             return whole[k] + knots[k] * x + 0.5 * (knots[k + 1] - knots[k]) * x * x
 
         first_pulse = int(rng.integers(0, 10_000))
-        window = begin - 2e-3, begin + self.revolutions * period + 2e-3
+        window = begin - MARGIN, begin + self.revolutions * period + MARGIN
+        phase = rng.uniform(0.0, self.sequence.period)
         p = self.sequence.period
         numbers = first_pulse + np.arange(-1, int((window[1] - window[0]) / p) + 3)
-        pulses = self.sequence.times(numbers) - self.sequence.times(first_pulse) + window[0]
+        pulses = self.sequence.times(numbers) - self.sequence.times(first_pulse) + window[0] + phase
         pulses = pulses[(pulses >= window[0]) & (pulses <= window[1])]
         count = np.arange(self.revolutions + 1)
         zeros = begin + count * period
@@ -113,6 +117,10 @@ class BeaconWorld:
         crossings = [self._crossings(np.array(places), k, turns, begin, period) for k in range(2)]
         for i in range(len(self.names)):
             planes = [[t for t, j in found if owner[j] == i] for found in crossings]
+            if self.names[i] in self.half_seen:
+                planes[self.half_seen[self.names[i]] - PLANE_1] = []
+            if self.missed:
+                planes = [[t for t in plane if rng.random() >= self.missed] for plane in planes]
             events.append(self._events(pulses, *planes, n, rng))
         channel, kind, ticks = [], [], []
         for i, (times, kinds) in enumerate(events):

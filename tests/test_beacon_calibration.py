@@ -1,5 +1,7 @@
 """Planes by bundle adjustment (Liu et al. 2022, Eqs. 29-33), the mount from stops, the bounds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from beacon_world import NAMES, TRUSS, BeaconWorld
@@ -227,6 +229,23 @@ def test_errors_of_the_mount_fit_its_covariance():
         squares.append(e @ np.linalg.solve(found.covariance, e))
     assert np.mean(squares) == pytest.approx(6.0, abs=1.4)
     assert found.freedom == 60 + 27 - 36
+
+
+def test_the_mount_follows_the_poses_of_the_stops():
+    stops = drive(np.random.default_rng(0), 0.0)
+    found = calibrate_mount(stops, DRAWN)
+    for k in range(len(stops)):
+        for i in range(6):
+            e = 1e-5 * np.eye(6)[i]
+            T = stops[k].T_world_head
+            T = transform(T[:3, :3] @ exp_rotation(e[3:]), T[:3, 3] + e[:3])
+            moved = [*stops[:k], replace(stops[k], T_world_head=T), *stops[k + 1 :]]
+            after = calibrate_mount(moved, DRAWN).T_base_head
+            turn = MOUNT[:3, :3].T @ after[:3, :3]
+            left = np.concatenate(
+                [after[:3, 3] - MOUNT[:3, 3], [turn[2, 1], turn[0, 2], turn[1, 0]]]
+            )
+            assert found.by_stops[:, 6 * k + i] == pytest.approx(left / 1e-5, abs=2e-3)
 
 
 def test_derivatives_of_the_mount():

@@ -2,9 +2,11 @@
 
 import pytest
 
-from evaluation.beacon_field import DOCK, calibrated_field, in_the_field
+from evaluation import beacon_field
+from evaluation.beacon_field import DOCK, WEST, calibrated_field, in_the_field
 from evaluation.run import RunRequest
 from scenarios.beacon_faults import HELD, with_trouble
+from twin.cli import main
 from twin.layout import LayoutError, load_layout, models_dir
 
 
@@ -43,5 +45,46 @@ def test_too_many_faults_for_the_lot_are_refused():
 
 
 def test_the_calibration_drive_counts_in_the_duration(tmp_path):
-    assert calibrated_field(RunRequest(0, tmp_path, duration=0.5), load_layout()) is None
+    left = calibrated_field(RunRequest(0, tmp_path, duration=0.5), load_layout())
+    assert left == "the calibration drive was broken off"
     assert list(tmp_path.iterdir()) == []
+
+
+PLACES = ((1.8, 0.42), (3.6, 0.42), (3.6, 1.42), (1.8, 1.42), (2.97, 1.42), (2.43, 0.42))
+
+
+@pytest.mark.parametrize(
+    ("facing", "x", "dy", "dz"),
+    [
+        (3.14159, -0.94, 0.0, 0.0),  # to the wall
+        (0.0, 60.0, 0.0, 0.0),
+        (0.0, -0.94, 30.0, 0.0),
+        (0.0, -0.94, 0.0, -2.0),
+        (0.0, 1.5, 0.0, 0.0),  # behind some stops
+        (0.0, -12.0, 0.0, 0.0),
+    ],
+)
+def test_a_truss_out_of_sight_is_refused(facing, x, dy, dz, tmp_path, capsys):
+    nodes = ", ".join(
+        f'{{name="T{i}", position=[{x}, {y + dy}, {z + dz}], facing={facing}}}'
+        for i, (y, z) in enumerate(PLACES)
+    )
+    run = ["run", "beacon_repeat", "--out", str(tmp_path / "out")]
+    assert main([*run, "--set", f"site.beacons.nodes=[{nodes}]"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "of 6 in range and view of the head at" in said
+
+
+def test_a_network_that_misses_every_pulse_is_refused():
+    with pytest.raises(LayoutError, match="leaves no light pulse") as error:
+        in_the_field(load_layout(None, ("world.beacons.missed=1",)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_calibration_that_hears_nothing_ends_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(beacon_field, "STOPS", ((2.3, 2.6, WEST),))
+    monkeypatch.setattr(beacon_field, "DWELL", 0.2)
+    layout = load_layout(None, ("world.beacons.missed=0.97",))
+    left = calibrated_field(RunRequest(0, tmp_path), layout)
+    assert isinstance(left, str) and left.startswith("the calibration drive found nothing")
+    assert "\n" not in left and list(tmp_path.iterdir()) == []

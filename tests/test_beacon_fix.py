@@ -10,7 +10,7 @@ from twin.geometry import inverse, rot_x, rot_y, rot_z, transform
 from twin.stack.estimation.beacons.angles import normals
 from twin.stack.estimation.beacons.bound import Setting, pose_bound, position_sigma
 from twin.stack.estimation.beacons.consensus import floor_of
-from twin.stack.estimation.beacons.fix import Fix, Locator, base_from_head
+from twin.stack.estimation.beacons.fix import Fix, Locator, base_from_head, base_from_mount
 from twin.stack.estimation.beacons.refine import (
     chi_square_limit,
     head_twist,
@@ -18,12 +18,13 @@ from twin.stack.estimation.beacons.refine import (
     motion,
     moved,
 )
-from twin.stack.estimation.beacons.rigid import exp_rotation
+from twin.stack.estimation.beacons.rigid import exp_rotation, log_rotation
 from twin.stack.estimation.beacons.settle import standing
 from twin.stack.estimation.beacons.stamps import (
     PLANE_1,
     SYNC,
     T0,
+    HeadParameters,
     NodeSurvey,
     NoFix,
     Noise,
@@ -65,6 +66,14 @@ def test_exact_stamps_give_the_pose(rate):
     assert np.all(np.abs(error(found, world)) < 0.15 * sigma)
     assert found.T_world_base == pytest.approx(world.T_world_base, abs=3e-4)
     assert len(found.used) == 12 and not found.rejected and found.freedom == 6
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0])
+def test_pulses_at_any_phase_align_the_clocks(rate):
+    world = BeaconWorld(spin_rate=rate, drift=50e-6)
+    place = locator(world)
+    for seed in range(40):
+        fixed(place.fix(world.batch(np.random.default_rng(seed), noisy=False)))
 
 
 def test_motion_is_compensated():
@@ -229,7 +238,7 @@ def test_missed_pulses():
     rng = np.random.default_rng(0)
     found = [locator(world).fix(world.batch(rng)) for _ in range(20)]
     good = [f for f in found if isinstance(f, Fix)]
-    assert len(good) >= 12  # a batch of one turn holds 7 pulses, 5 of which must be left
+    assert len(good) >= 12  # a batch of one turn holds 8 pulses, 5 of which must be left
     for f in good:
         left = error(f, world)
         assert left @ np.linalg.solve(f.head_covariance, left) < 30.0
@@ -274,13 +283,13 @@ def test_head_on_the_danger_cylinder():
     on = transform(np.eye(3), (-0.1, 1.0, 0.0))
     world, rng = BeaconWorld(nodes=nodes, T_world_base=on), np.random.default_rng(0)
     blunt = 0
-    for _ in range(10):
+    for _ in range(40):
         stamps = world.batch(rng)
         left = error(fixed(locator(world).fix(stamps)), world)
         assert np.abs(left[:3]).max() < 5e-3
         source = locator(world).source_fix(stamps, ("T1", "T2", "T3", "T4"))
         blunt += isinstance(source, NoFix) and source.reason in ("danger cylinder", "no solution")
-    assert blunt >= 6
+    assert blunt >= 12  # noise carries half of them off it
     # A pose that is too loose there has the cylinder as its reason, elsewhere it has not.
     found = locator(world, loosest=1e-4).fix(world.batch(rng))
     assert isinstance(found, NoFix) and found.reason == "danger cylinder"
@@ -312,7 +321,9 @@ def test_bad_input_is_named():
         found = place.fix(bad)
         assert isinstance(found, NoFix) and found.reason == reason, reason
         four = ("T1", "T2", "T3", "T4")
-        assert isinstance(place.source_fix(bad, four), NoFix) or reason == "malformed stamps"
+        source = place.source_fix(bad, four)
+        assert isinstance(source, NoFix)
+        assert source.reason == reason or reason == "few nodes"  # another node is missing there
     assert isinstance(place.fix(stamps, np.full(6, np.nan)), NoFix)
     no_light = without(stamps, (stamps.channel == T0) & (stamps.kind == SYNC))
     found = place.fix(no_light)
@@ -320,7 +331,11 @@ def test_bad_input_is_named():
 
 
 def test_random_rubbish_never_crashes():
-    """Expected result: no fix, whatever the bits."""
+    """Expected: no fix of random bits.
+
+    Of true stamps, of which nodes have a third shifted, no fix, or one by those that are not,
+    within five sigma of its own.
+    """
     rng, place = np.random.default_rng(0), locator(BeaconWorld())
     for _ in range(200):
         n = int(rng.integers(0, 60))
@@ -332,13 +347,15 @@ def test_random_rubbish_never_crashes():
         )
         assert isinstance(place.fix(stamps), NoFix)
     world = BeaconWorld()
-    for _ in range(60):  # true stamps of which many are shuffled about
+    for _ in range(200):  # true stamps of which many are shuffled about
         stamps = world.batch(rng)
         ticks = stamps.ticks.copy()
-        hit = (rng.random(len(ticks)) < 0.3) & (stamps.kind != SYNC)
+        hit = (rng.random(len(ticks)) < 0.3) & (stamps.kind != SYNC) & (stamps.channel != T0)
         ticks[hit] += rng.integers(-20_000, 20_000, int(hit.sum()))
         found = place.fix(replace(stamps, ticks=ticks))
-        assert isinstance(found, NoFix) or np.abs(error(found, world)[:3]).max() < 0.03
+        if isinstance(found, Fix):
+            sigma = np.sqrt(np.diag(found.head_covariance))[:3]
+            assert np.all(np.abs(error(found, world)[:3]) < 5.0 * sigma)
 
 
 def test_loose_geometry_is_no_fix():
@@ -366,3 +383,91 @@ def test_chi_square_limit():
     # Tables: 99.99 % quantiles are 18.42 at 2 and 27.86 at 6 degrees of freedom.
     assert chi_square_limit(2, 3.719) == pytest.approx(18.42, rel=0.06)
     assert chi_square_limit(6, 3.719) == pytest.approx(27.86, rel=0.03)
+
+
+def test_derivative_of_the_base_by_the_mount():
+    T_base_head = transform(rot_z(-2.5) @ rot_x(0.1), (0.1, 0.3, 0.6))
+    T_world_head = transform(rot_z(0.7) @ rot_y(0.2), (1, 2, 0.5))
+    e = 1e-6 * np.array([1.0, -2, 3, 0.5, -1, 2])
+    wrong = transform(T_base_head[:3, :3] @ exp_rotation(e[3:]), T_base_head[:3, 3] + e[:3])
+    before, after = T_world_head @ inverse(T_base_head), T_world_head @ inverse(wrong)
+    R = before[:3, :3].T @ after[:3, :3]
+    shift = before[:3, :3].T @ (after[:3, 3] - before[:3, 3])
+    left = np.concatenate([shift, [R[2, 1], R[0, 2], R[1, 0]]])
+    assert base_from_mount(T_base_head) @ e == pytest.approx(left, abs=1e-11)
+
+
+def test_what_the_calibration_leaves_open_is_in_the_covariance():
+    """Planes and mount wrong by draws of their covariance: errors of 150 fixes are as they say."""
+    rng, world = np.random.default_rng(0), BeaconWorld()
+    L = np.diag([5e-5, 5e-5, 1e-4, 1e-3, 1e-3, 5e-4, 1e-4, 2e-4, 1e-3])
+    L[3:, :3] = rng.standard_normal((6, 3)) * 3e-4  # wrong planes make a wrong mount
+    head, base, bare = [], [], []
+    for _ in range(150):
+        e = L @ rng.standard_normal(9)
+        planes = HeadParameters(*(world.head.as_array() + e[:3]))
+        mount = world.T_base_head @ transform(exp_rotation(e[6:]), np.zeros(3))
+        mount[:3, 3] += e[3:6]
+        place = Locator(world.survey(rng), planes, mount, L @ L.T)
+        found = place.fix(world.batch(rng))
+        if isinstance(found, NoFix):  # one healthy turn in two hundred is refused
+            continue
+        left = error(found, world)
+        head.append(left @ np.linalg.solve(found.head_covariance, left))
+        off = found.T_world_base[:3, 3], log_rotation(found.T_world_base[:3, :3])
+        left = np.concatenate(off)
+        base.append(left @ np.linalg.solve(found.covariance, left))
+        own = found.covariance - found.common
+        assert np.linalg.eigvalsh(own)[0] > 0.0
+        bare.append(left @ np.linalg.solve(own, left))
+    assert len(head) >= 146
+    assert np.mean(head) == pytest.approx(6.0, abs=1.1)
+    assert np.mean(base) == pytest.approx(6.0, abs=1.1)
+    assert np.mean(bare) > 12.0
+    setting = Setting(world.survey(), planes=(L @ L.T)[:3, :3])
+    bound = position_sigma(pose_bound(world.head_pose(0.0), setting))
+    with_it = place.fix(world.batch(rng, noisy=False))
+    assert bound == pytest.approx(position_sigma(fixed(with_it).head_covariance), rel=0.05)
+
+
+@pytest.mark.parametrize("hides", [True, False])
+def test_no_fix_where_a_possible_culprit_cannot_be_left_out(hides):
+    """One node blocked, one mirrored, a third one met by one plane alone.
+
+    Expected: without the mirrored node seven crossings are left, too few to be tested. If that is
+    known to be beside a mirror or not: never a fix that is wrong.
+    """
+    rng, fixes = np.random.default_rng(1), 0
+    for _ in range(150):
+        blocked, mirrored, short = (NAMES[k] for k in rng.choice(6, 3, replace=False))
+        shift = rng.standard_normal(3)
+        shift *= 10 ** rng.uniform(-3.0, -0.4) / np.linalg.norm(shift)
+        kind = int(rng.integers(1, 3))
+        world = BeaconWorld(
+            blocked=(blocked,), reflections={mirrored: (shift, not hides)}, half_seen={short: kind}
+        )
+        found = locator(world).fix(world.batch(rng))
+        if isinstance(found, NoFix):
+            continue
+        fixes += 1
+        good = [k for k in range(6) if NAMES[k] not in (blocked, mirrored)]
+        survey = NodeSurvey(tuple(NAMES[k] for k in good), TRUSS[good], np.full(4, 30e-6))
+        seen = np.array([[NAMES[k] != short or p + 1 != kind for p in range(2)] for k in good])
+        bound = pose_bound(world.head_pose(0.0), Setting(survey, seen=seen))
+        assert np.all(np.abs(error(found, world)[:3]) < 5.0 * position_sigma(bound))
+    assert fixes > 2
+
+
+def test_single_crossings_that_are_missed():
+    """Each missed once in ten, all nodes sound. Expected: a fix wherever four met both planes."""
+    world, rng, fixes, wanted = BeaconWorld(missed=0.1), np.random.default_rng(0), 0, 0
+    for _ in range(100):
+        stamps = world.batch(rng)
+        mine = [stamps.kind[stamps.channel == i + 1] for i in range(6)]
+        wanted += sum({1, 2} <= set(kinds.tolist()) for kinds in mine) >= 4
+        found = locator(world).fix(stamps)
+        if isinstance(found, Fix):
+            fixes += 1
+            left = error(found, world)
+            assert left @ np.linalg.solve(found.head_covariance, left) < 30.0
+    assert fixes >= wanted - 2 and wanted > 80

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evaluation.beacon_field import STOPS, in_the_field
+from evaluation.beacons import true_mount, true_setting
 from evaluation.run import RunRequest
 from scenarios import (
     beacon_calibrate,
@@ -17,7 +18,10 @@ from scenarios import (
 )
 from twin.cli import main
 from twin.layout import load_layout
+from twin.messages import CourseOrder
+from twin.plant.plant import Plant
 from twin.recording.tum import read_tum
+from twin.stack.estimation.beacons.bound import pose_bound, position_sigma
 
 # Measured by `twin run beacon_calibrate --seed 0`; it holds for the vehicle of that seed alone.
 FILE = Path(__file__).parent.parent / "notebooks" / "beacon_calibration_seed0.json"
@@ -45,6 +49,34 @@ def test_a_short_measurement_leaves_poses_in_space_and_a_recording(tmp_path):
         assert series["source"].shape[1] == 3
 
 
+def test_what_five_seconds_at_rest_tell(tmp_path):
+    """Every criterion of `beacon_repeat` on the tenth part of its turns.
+
+    The ratio over the bounds is known to 8 % then, not to 2.
+    """
+    request = RunRequest(0, tmp_path, duration=8.0)
+    result = beacon_repeat.run(request, load_layout(None, (CALIBRATION,)))
+    assert not result.complete and result.metrics["measurements"] > 130
+    for criterion in result.criteria:
+        value = result.metrics[criterion.name]
+        if criterion.name.startswith("gain"):
+            assert 0.75 < value < 1.25
+        else:
+            assert criterion.passed(value), (criterion, value)
+    assert result.metrics["rms_error_filtered_mm"] < 2.0
+    for axis in "yz":
+        assert result.metrics[f"sigma_ours_over_source_500_{axis}"] < 1.0
+
+
+def test_a_filter_that_heard_nothing_scatters_not_at_all(tmp_path):
+    """Expected: no turn was fused, so its scatter is not measured, and not met."""
+    blocked = 'world.faults.beacons.blocked=["T1","T2","T3","T4"]'
+    request = RunRequest(0, tmp_path, duration=3.5)
+    result = beacon_repeat.run(request, load_layout(None, (CALIBRATION, blocked)))
+    assert np.isnan(result.metrics["sigma_filtered_y_mm"])
+    assert np.isnan(result.metrics["rms_error_filtered_mm"])
+
+
 def test_trials_with_trouble(tmp_path, monkeypatch):
     monkeypatch.setattr(beacon_faults, "TRIALS", 90)
     monkeypatch.setattr(beacon_faults, "PLACES", 3)
@@ -67,6 +99,23 @@ def test_faults_without_a_bound_are_no_right_fixes():
     none = beacon_faults.Trial(0.0, True, np.zeros(7), reason="ambiguous")
     figures = beacon_faults.metrics([trial, fine, none, fine], 5)
     assert figures["wrong_fixes"] == 1.0 and figures["fix_availability"] == 0.75
+    assert figures["worst_error_sigma"] == 4.9 and figures["rms_error_sigma"] < 4.9
+
+
+def test_the_bound_of_the_injected_noise_follows_the_layout():
+    """Expected: half the noise, half the scatter; without noise and tolerances it is no crash."""
+    places = {}
+    for scale in (1.0, 0.5, 0.0):
+        sets = (f"world.sensors.noise_scale={scale}", f"world.tolerances.scale={scale}")
+        layout = in_the_field(load_layout(None, sets))
+        plant = Plant(layout, 0, CourseOrder(0.0, ()))
+        try:
+            T = plant.truth().T_world_base @ true_mount(plant)
+            places[scale] = position_sigma(pose_bound(T, true_setting(plant)))
+        finally:
+            plant.close()
+    assert places[0.5] == pytest.approx(0.5 * places[1.0], rel=0.05)
+    assert np.all(places[0.0] < 0.1 * places[1.0]) and np.all(np.isfinite(places[0.0]))
 
 
 def test_a_short_drive(tmp_path):

@@ -300,3 +300,33 @@ def test_the_drawing_of_the_head_is_what_is_built():
     hardware = BeaconHardware()
     assert head.noise.crossing == hardware.crossing_noise
     assert (head.noise.sync, head.noise.spin_jitter) == (hardware.sync_noise, hardware.spin_jitter)
+
+
+def test_mirrored_light_goes_no_way_that_light_cannot():
+    """Expected: a board before the image takes it away, as do range and field of view."""
+    faults = BeaconFaults(reflections=(Reflection(node="T1", shift=(0.0, 0.3, 0.0), hides=True),))
+    board = '<geom type="box" size="0.01 0.1 0.1" pos="0.3 {} 0.6"/>'
+    assert NAMES[0] == "T1"
+    clear, _ = batches(0.1, faults=faults, extra=board.format(1.0))
+    assert sorted(crossings(clear[0], "T1")) == [1, 2]
+    head, image = (START @ T_BASE_HEAD)[:3, 3], NODES[0] + (0.0, 0.3, 0.0)
+    at = head + (image - head) * (0.3 - head[0]) / (image[0] - head[0])
+    assert abs(at[2] - 0.6) < 0.1
+    hidden, _ = batches(0.1, faults=faults, extra=board.format(at[1]))
+    assert crossings(hidden[0], "T1") == []
+    for shift in ((-9.0, 0.0, 0.0), (2.9, 0.0, 0.5)):  # beyond the range; beside the diode's view
+        away = BeaconFaults(reflections=(Reflection(node="T1", shift=shift, hides=True),))
+        assert crossings(batches(0.1, faults=away)[0][0], "T1") == []
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0])
+def test_the_network_works_from_20_to_50_turns_a_second(rate, monkeypatch):
+    """Expected: a fix of nearly every turn, whenever the pulses of the light come."""
+    assert NETWORK is not None
+    monkeypatch.setitem(globals(), "NETWORK", NETWORK.model_copy(update={"spin_rate": rate}))
+    fixes = []
+    for seed in range(4):
+        found, _ = batches(1.0, hardware=BeaconHardware(), seed=seed)
+        turns = [place(spin_rate=rate).fix(stamps(message)) for message in found]
+        fixes += [isinstance(fix, Fix) for fix in turns]
+    assert len(fixes) > 3.5 * rate and np.mean(fixes) > 0.95

@@ -165,6 +165,17 @@ def test_table_names_each_metric_and_criterion_once():
     assert verdict(report) == "fell short: the run did not come to its end; not met: other"
 
 
+def test_a_metric_with_two_limits_is_met_if_both_are():
+    """Expected: both limits in table and summary; not met, though the last one is."""
+    limits = [Criterion("gain", ">=", 0.9), Criterion("gain", "<=", 1.1)]
+    low, good = (report_of(metrics={"gain": v}, criteria=limits) for v in (0.8, 1.0))
+    for report, said in ((low, "[red]not met[/]"), (good, "[green]met[/]")):
+        cells = [next(iter(column.cells)) for column in report_table(report).columns]
+        assert cells[0] == "gain" and cells[2:] == [">= 0.9, <= 1.1", said]
+    assert verdict(low).count("gain") == 1
+    assert "| `gain` | >= 0.9, <= 1.1 |" in figures([low])
+
+
 def test_values_are_shown_short():
     assert [format_value(v) for v in (20.0, 0.012345, 612.345)] == ["20", "0.01235", "612.3"]
 

@@ -7,13 +7,16 @@ attitude, for OpenCV and PoseLib turned so that the nodes lie ahead. A case coun
 and is left out of the failures, if its nodes are a line or the head is on the danger cylinder. A
 failure is a case whose true pose is not among the solutions to 1e-6 m; with the fourth node, one of
 which the pose that it picks does not put the four where they are seen. PoseLib is compared where it
-is installed: a development dependency. Criteria: 4 times cv2.solveP3P, faster than PoseLib, no
-failure, 0.5 ms a fix, 5 times SciPy with a numeric Jacobian at equal cost.
+is installed: a development dependency. A fix is made as the stack makes it, of a vehicle on the
+floor with a calibrated head. Criteria: 4 times cv2.solveP3P, faster than PoseLib, no failure in
+`--cases` that are not degenerate, 0.5 ms a fix of a vehicle that sees all nodes once, 5 times SciPy
+with a numeric Jacobian at equal cost. Exit code 1 if one is not met.
 """
 
 import argparse
 import importlib
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -27,6 +30,7 @@ from evaluation.beacon_field import FIELD_X, FIELD_Y, WEST
 from twin.geometry import Array, inverse, look_at, pose2_to_transform, rot_z, transform
 from twin.layout import load_layout
 from twin.stack.config import BeaconHead
+from twin.stack.estimation.beacon_receiver import HEIGHT, TILT
 from twin.stack.estimation.beacons.angles import TAU, Crossings, angles_of
 from twin.stack.estimation.beacons.calibration import Bundle, calibrate
 from twin.stack.estimation.beacons.fix import Fix, Locator
@@ -48,6 +52,8 @@ TRUSS = np.array(
     [[4, -1, 0.2], [4, 1, 0.2], [4, 1, 1.2], [4, -1, 1.2], [4, -0.25, 1.2], [4, 0.3, 0.2]], float
 )
 MOUNT = transform(rot_z(-2.5), (0.1, 0.0, 0.6))
+# Of planes and mount, as a calibration drive leaves it, rad and m.
+LEFT_OPEN = np.diag(np.array([2e-5, 2e-5, 8e-5, 8e-4, 9e-4, 1e-5, 1e-5, 1e-5, 1.8e-3]) ** 2)
 STANDING, DRIVING = np.zeros(3), np.array([0.5, -0.2, 0.0])  # m/s
 SOUND: dict[int, Array] = {}
 MIRRORED = {
@@ -91,11 +97,15 @@ def problems(n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def failures(cases: int) -> tuple[int, int, int, float, float]:
-    """Cases tried, failed by P3P and with the fourth node, and microseconds of either."""
+    """Sound cases, those failed by P3P and with the fourth node, and microseconds of either.
+
+    Args:
+        cases: that are not degenerate, at least.
+    """
     rng, tried, failed, mistaken = np.random.default_rng(0), 0, 0, 0
     spent, checked, done = 0.0, 0.0, 0
-    while done < cases:
-        n = min(CHUNK, cases - done)
+    while tried < cases:
+        n = min(CHUNK, cases)
         p_world, p_head, sound = problems(n, rng)
         start = time.perf_counter()
         found = p3p(p_head[:, :3], p_world[:, :3])
@@ -112,7 +122,7 @@ def failures(cases: int) -> tuple[int, int, int, float, float]:
             failed + int((sound & ~good).sum()),
             mistaken + int((sound & ~right).sum()),
         )
-    return tried, failed, mistaken, 1e6 * spent / cases, 1e6 * checked / cases
+    return tried, failed, mistaken, 1e6 * spent / done, 1e6 * checked / done
 
 
 def others() -> dict[str, float]:
@@ -238,7 +248,7 @@ def near_the_cylinder(rng: np.random.Generator) -> float:
     return float(np.mean(near))
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--cases", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=200)
@@ -246,11 +256,15 @@ def main() -> None:
     failures(100)  # compiles
     tried, failed, mistaken, solve, checked = failures(asked.cases)
     table = Table("what", "time", "ratio to ours")
-    table.add_row("P3P + SVD, batch", f"{solve:.2f} us", "")
-    table.add_row("P3P + SVD + fourth node, batch", f"{checked:.2f} us", "1")
-    for label, spent in others().items():
+    table.add_row("P3P, up to four poses (Eqs. 9-22), batch", f"{solve:.2f} us", "")
+    table.add_row("P3P and the fourth node's choice, batch", f"{checked:.2f} us", "1")
+    found = others()
+    for label, spent in found.items():
         table.add_row(label, f"{spent:.2f} us", f"{spent / checked:.1f}")
-    locator = Locator(survey(), T_base_head=MOUNT)
+    locator = Locator(
+        *(survey(), HeadParameters(), MOUNT, LEFT_OPEN), height=HEIGHT, tilt=TILT, noise=Noise()
+    )
+    whole = []
     twist = np.concatenate([DRIVING, np.zeros(3)])  # base and world have the same axes
     far, close = ({k: MIRRORED[k]} for k in MIRRORED)
     for label, velocity, images, moving in (
@@ -266,6 +280,8 @@ def main() -> None:
         table.add_row(
             f"full fix from raw stamps, {label}", f"{statistics.median(fixes):.3f} ms", ""
         )
+        if images is SOUND:
+            whole.append(statistics.median(fixes))
     ours, theirs, cost, their_cost = calibrations(max(asked.repeats // 10, 3))
     table.add_row("calibration, six stops", f"{ours:.1f} ms", "1")
     table.add_row("scipy.optimize.least_squares", f"{theirs:.1f} ms", f"{theirs / ours:.1f}")
@@ -277,7 +293,19 @@ def main() -> None:
         f"three corners of the truss: {near:.3f} of the field near their danger cylinder"
     )
     Console().print(f"calibration: cost {cost:.6f}, SciPy's {their_cost:.6f}")
+    fastest = min(spent for label, spent in found.items() if label.startswith("cv2"))
+    met = {
+        "4 times cv2.solveP3P": fastest >= 4.0 * checked,
+        "faster than PoseLib": found.get("PoseLib p3p", np.inf) > checked,
+        "no failure": failed == mistaken == 0 and tried >= asked.cases,
+        "a full fix in 0.5 ms": max(whole) <= 0.5,
+        "5 times SciPy": theirs >= 5.0 * ours,
+        "at equal cost": abs(cost - their_cost) <= 1e-6 * their_cost,
+    }
+    missed = [name for name, good in met.items() if not good]
+    Console().print(f"not met: {', '.join(missed)}" if missed else "every criterion met")
+    return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -18,7 +18,8 @@ class Image:
 
     node: int
     place: Array  # (3,) in world, m
-    direct: bool  # needs a line of sight
+    direct: bool
+    mirror: float = 0.0  # m before the place at which the mirror may stand
 
 
 class BeaconTrouble:
@@ -56,7 +57,8 @@ class BeaconTrouble:
         lit = [i for i, name in enumerate(self._names) if name not in self.dark]
         direct = [Image(i, places[i], True) for i in lit]
         mirrored = [(self._names.index(r.node), r.shift) for r in self.reflections]
-        return direct + [Image(i, places[i] + shift, False) for i, shift in mirrored]
+        size = np.linalg.norm
+        return direct + [Image(i, places[i] + s, False, float(size(s))) for i, s in mirrored]
 
     def _shows(self, share: float) -> bool:
         return share >= 1.0 or bool(self._rng.random() < share)

@@ -176,6 +176,8 @@ class BeaconHead:
     T_base_head: Array = field(  # T0 stands behind the head: there is its x axis
         default_factory=lambda: transform(rot_z(np.pi), (0.318, -0.218, 0.92))
     )
+    # Of planes (rad) and mount (shift in base, m, turn in head, rad): what calibration left open.
+    covariance: Array = field(default_factory=lambda: np.zeros((9, 9)))
     sequence: SyncSequence = field(default_factory=SyncSequence)
     counter: Counter = field(default_factory=Counter)
     noise: StampNoise = field(default_factory=lambda: StampNoise(crossing=0.387e-6))

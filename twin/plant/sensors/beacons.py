@@ -29,7 +29,7 @@ PHI = np.array([np.pi / 4, np.pi / 4, np.pi / 2])  # rad, as drawn: phi_1, phi_2
 FAN = math.tan(math.radians(40.0))  # elevation over and under the head that the planes reach
 VIEW = np.cos(np.radians(60.0))  # of the angle between a diode's axis and the light
 NEAR, FAR = 0.5, 10.0  # m
-MARGIN = 2e-3  # s before and after a turn that a batch reaches, for pulses to align by
+MARGIN = 6e-3  # s before and after a turn that a batch reaches: six pulses at 50 turns a second
 HOUSING = 0.03  # m before a diode at which a ray may end: on its own housing
 TRIGGER = 20e-6  # s, 1 sigma, of the vehicle's own stamp of the turn's end; guess
 GROUPS = np.array([1, 1, 1, 0, 1, 0], dtype=np.uint8)  # all that is solid; 3 is collision only
@@ -148,7 +148,7 @@ class BeaconSensor:
             time = self._crossing_time(plane, p0, p1, t0, t1)
             if time is None or not span[0] < time <= span[1]:
                 continue
-            if image.direct and not self._seen(image, T1, model, data):
+            if not self._seen(image, T1, model, data):
                 continue
             stamped = self._note(time, image.node + 1, PLANE_1 + plane, self._crossing)
             if stamped and not image.direct:
@@ -184,7 +184,10 @@ class BeaconSensor:
         return time if along > 0 and abs(up) < FAN * math.hypot(along, across) else None
 
     def _seen(self, image: Image, T_world_head: Array, model, data) -> bool:
-        """Whether light from the head reaches a diode: near enough, before it, nothing between."""
+        """Whether light from the head reaches a diode: near enough, before it, nothing between.
+
+        Of a reflection, the way to the image counts, up to where the mirror may stand.
+        """
         origin = T_world_head[:3, 3]
         way = image.place - origin
         distance = float(np.linalg.norm(way))
@@ -193,7 +196,7 @@ class BeaconSensor:
         hit = np.array([-1], dtype=np.int32)
         ray = way / distance
         free = mujoco.mj_ray(model, data, origin, ray, GROUPS, 1, self._head, hit)
-        return bool(hit[0] < 0 or free >= distance - HOUSING)
+        return bool(hit[0] < 0 or free >= distance - HOUSING - image.mirror)
 
     # --- stamps ----------------------------------------------------------------------------------
 

@@ -22,7 +22,6 @@ from twin.stack.config import BeaconHead, StackConfig
 from twin.stack.estimation.beacon_receiver import locator, stamp_batch
 from twin.stack.estimation.beacons.angles import Crossings
 from twin.stack.estimation.beacons.calibration import Calibration, average, calibrate
-from twin.stack.estimation.beacons.fix import Fix
 from twin.stack.estimation.beacons.mount import Mount, Stop, calibrate_mount
 from twin.stack.estimation.beacons.stamps import HeadParameters, NoFix
 from twin.stack.estimation.map_correction import growth
@@ -37,17 +36,21 @@ DRAWN = BeaconHead().planes.as_array().tolist()
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
+Nine = Annotated[list[Number], Field(min_length=9, max_length=9)]
 
 
 class BeaconCalibration(Strict):
-    """The file. Angles in rad, lengths in m; sigmas are what the residuals leave open."""
+    """The file. Angles in rad, lengths in m.
 
-    version: Literal[1] = 1
+    `covariance` is what the residuals leave open: of the planes, of the mount's shift in base and
+    its turn in head axes.
+    """
+
+    version: Literal[2] = 2
     planes: Three  # phi_1, phi_2, phi_r
-    planes_sigma: Three
     mount_position: Three  # of the head in base
     mount_quat_wxyz: tuple[Number, Number, Number, Number]
-    mount_sigma: tuple[Number, Number, Number, Number, Number, Number]  # shift, turn in head
+    covariance: Annotated[list[Nine], Field(min_length=9, max_length=9)]
     stops: Annotated[int, Field(gt=0)]
     turns: Annotated[int, Field(gt=0)]  # of the head, over all stops
 
@@ -57,14 +60,25 @@ class BeaconCalibration(Strict):
             raise ValueError("mount_quat_wxyz: not of unit length")
         if any(abs(p - q) > FAR for p, q in zip(self.planes, DRAWN, strict=True)):
             raise ValueError(f"planes: more than {FAR} rad from those of the drawing")
+        C = np.array(self.covariance)
+        off = np.abs(C - C.T).max() > 1e-6 * np.abs(C).max()
+        if off or not np.all(np.diag(C) > 0.0) or np.linalg.eigvalsh(C)[0] < -1e-6 * C.max():
+            raise ValueError("covariance: not symmetric and positive")
         return self
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of planes, shift and turn of the mount. Shape (9,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)), dtype=np.float64)
 
     def applied(self, config: StackConfig) -> StackConfig:
         """The belief with the head as it was found."""
         R = rotation_from_quat(self.mount_quat_wxyz)
         T = transform(R, self.mount_position)
         planes = HeadParameters(*self.planes)
-        return replace(config, beacons=replace(config.beacons, planes=planes, T_base_head=T))
+        C = np.array(self.covariance)
+        head = replace(config.beacons, planes=planes, T_base_head=T, covariance=C)
+        return replace(config, beacons=head)
 
 
 def save_beacon_calibration(calibration: BeaconCalibration, path: Path) -> None:
@@ -141,24 +155,26 @@ class BeaconCalibrationRun:
         """
         means = [average(complete(stop)) for stop in self.stops]
         found = calibrate(means, self._locator.survey, self._config.beacons.planes)
-        mount = self._mount(means, found)
-        T, sigma = mount.T_base_head, np.sqrt(np.diag(mount.covariance))
+        mount, covariance = self._mount(means, found)
+        T = mount.T_base_head
         return BeaconCalibration(
             planes=tuple(found.head.as_array().tolist()),
-            planes_sigma=tuple(np.sqrt(np.diag(found.covariance)).tolist()),
             mount_position=tuple(T[:3, 3].tolist()),
             mount_quat_wxyz=tuple(quat_wxyz(T[:3, :3]).tolist()),
-            mount_sigma=tuple(sigma.tolist()),
+            covariance=covariance.tolist(),
             stops=len(self.stops),
             turns=self.turns,
         )
 
-    def _mount(self, means: list[Crossings], found: Calibration) -> Mount:
-        place, stops = replace(self._locator, head=found.head), []
+    def _mount(self, means: list[Crossings], found: Calibration) -> tuple[Mount, Array]:
+        """The mount, and the covariance of planes and mount together, (9, 9)."""
+        place = replace(self._locator, head=found.head)
+        stops, by_planes = [], []
         for k, (seen, (odometry, covariance)) in enumerate(zip(means, self._ways, strict=True)):
-            fix = place.solve(seen, 0.0, place.survey.names, np.zeros(6))
-            if not isinstance(fix, Fix):
-                raise ValueError(f"mount: stop {k} has no pose: {fix.reason}, {fix.detail}")
+            pairs = zip(seen.node.tolist(), seen.plane.tolist(), strict=True)
+            trusted = [(k, place.survey.names[n], m + 1) not in found.rejected for n, m in pairs]
+            rows = np.nonzero(np.array(trusted))[0]
+            T, sure, shifts = place.refined(seen, found.R[k], found.p[k], rows)
             way = way_covariance = None
             if k:
                 before, covariance_before = self._ways[k - 1]
@@ -168,8 +184,14 @@ class BeaconCalibrationRun:
                 path, turn = float(np.hypot(*way[:2])), abs(float(way[2]))
                 more = (WAY * path) ** 2 + (WAY_TURN * turn) ** 2 + WAY_FLOOR**2
                 way_covariance = grown + np.diag(more)
-            stops.append(Stop(fix.T_world_head, fix.head_covariance, way, way_covariance))
-        return calibrate_mount(stops, self._config.beacons.T_base_head)
+            stops.append(Stop(T, sure, way, way_covariance))
+            by_planes.append(shifts)
+        mount = calibrate_mount(stops, self._config.beacons.T_base_head)
+        # Wrong planes move the head's poses at all stops, and the mount with them.
+        moved = mount.by_stops @ np.concatenate(by_planes)
+        cross = moved @ found.covariance
+        own = mount.covariance + cross @ moved.T
+        return mount, np.block([[found.covariance, cross.T], [cross, own]])
 
 
 def complete(turns: list[Crossings]) -> list[Crossings]:

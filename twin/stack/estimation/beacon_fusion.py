@@ -16,6 +16,9 @@ from twin.stack.estimation.pose_filter import PoseFilter
 from twin.stack.estimation.pose_history import PoseHistory
 
 SILENCE = 0.5  # s without a fix after which others tell the pose
+CONTRADICTIONS = "no solution", "residuals", "ambiguous"  # nodes are seen, and disagree
+FOREIGN = 30  # turns of nothing but these from the start, after which the calibration is doubted
+FOREIGN_HEAD = "; never a fix: is the head's calibration of this vehicle?"
 PATIENCE = 5  # fixes in a row outside the gate, after which they are believed
 
 
@@ -32,6 +35,7 @@ class BeaconFusion:
         self._fused_at = -np.inf
         self._reckoned = np.eye(3)  # covariance of the dead reckoning at the filter's state
         self._outside = 0
+        self._contradicted: int | None = 0  # turns from the start; nothing once there was a fix
 
     def alive(self, stamp: float) -> bool:
         """Whether the network tells the pose at this time."""
@@ -55,7 +59,8 @@ class BeaconFusion:
         """
         found = self._receiver.locate(reading, history.at)
         if isinstance(found, NoFix):
-            return BeaconSight(reading.stamp, found.reason)
+            return BeaconSight(reading.stamp, found.reason + self._doubt(found.reason))
+        self._contradicted = None
         odometry = history.at(found.stamp)
         if odometry is None:
             return BeaconSight(found.stamp, "where the vehicle was is not known")
@@ -66,14 +71,23 @@ class BeaconFusion:
         way = odometry[:2] - self.filter.odometry[:2]
         self.filter.carry(odometry, found.stamp, growth(self._reckoned, reckoned, way))
         self._reckoned = reckoned
-        fused = self.filter.update(found.T_world_base, found.covariance)
+        # What all fixes share does not average out: the filter keeps it apart.
+        own, self.filter.common = found.covariance - found.common, found.common
+        fused = self.filter.update(found.T_world_base, own)
         self._outside = 0 if fused else self._outside + 1
         if self._outside >= PATIENCE:  # carried off: the fixes agree, the filter does not
-            self.filter.T, self.filter.P = found.T_world_base, found.covariance.copy()
+            self.filter.T, self.filter.P = found.T_world_base, own
             self._outside, fused = 0, True
         if fused:
             self._fused_at = found.stamp
         return _sight(found, "fused" if fused else "refused by the estimate")
+
+    def _doubt(self, reason: str) -> str:
+        """What to add to the reason of a turn without a fix."""
+        if self._contradicted is None:
+            return ""
+        self._contradicted += reason in CONTRADICTIONS
+        return FOREIGN_HEAD if self._contradicted >= FOREIGN else ""
 
 
 def pose7(T_world_base: Array) -> Array:

@@ -33,6 +33,7 @@ class Located:
         stamp: of that instant, s of the run's clock.
         T_world_base: shape (4, 4).
         covariance: shift in world axes (m), turn in base axes (rad). Shape (6, 6).
+        common: the part of it that all fixes share, see `Fix`. Shape (6, 6).
         nodes: in the fix.
         rejected: (node, plane) that contradicted the others.
     """
@@ -40,6 +41,7 @@ class Located:
     stamp: float
     T_world_base: Array
     covariance: Array
+    common: Array
     nodes: tuple[str, ...]
     rejected: tuple[tuple[str, int], ...] = ()
 
@@ -63,6 +65,7 @@ def locator(config: StackConfig) -> Locator:
         node_survey(config),
         head.planes,
         head.T_base_head,
+        head.covariance,
         head.sequence,
         head.counter,
         head.noise,
@@ -114,12 +117,14 @@ class BeaconReceiver:
             if isinstance(T, NoFix):
                 return T
             T_world_base = T @ inverse(self.locator.T_base_head)
-            return Located(stamp, T_world_base, np.diag(SOURCE_SIGMA**2), four)
+            return Located(stamp, T_world_base, np.diag(SOURCE_SIGMA**2), np.zeros((6, 6)), four)
         found = self.locator.solve(seen, time, batch.nodes, _twist(stamp, length, pose_at))
         if isinstance(found, NoFix):
             return found
         nodes = tuple(dict.fromkeys(name for name, _ in found.used))
-        return Located(stamp, found.T_world_base, found.covariance, nodes, found.rejected)
+        return Located(
+            stamp, found.T_world_base, found.covariance, found.common, nodes, found.rejected
+        )
 
 
 def whole_nodes(names: tuple[str, ...], seen) -> list[str]:

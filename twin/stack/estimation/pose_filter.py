@@ -35,6 +35,7 @@ class PoseFilter:
         self.P = np.diag([0.0, 0.0, HEIGHT**2, TILT**2, TILT**2, 0.0])
         planar = np.ix_((0, 1, 5), (0, 1, 5))
         self.P[planar] = covariance
+        self.common = np.zeros((6, 6))  # of an error that all fixes share, beside P
         self.odometry, self.stamp = np.array(odometry, dtype=float), stamp
 
     def at(self, odometry: Array) -> Array:
@@ -45,7 +46,7 @@ class PoseFilter:
     def planar(self) -> tuple[Array, Array]:
         """x, y, yaw in world, (3,), and their covariance, (3, 3). Tilt is too small to matter."""
         pose = np.array([self.T[0, 3], self.T[1, 3], np.arctan2(self.T[1, 0], self.T[0, 0])])
-        return pose, self.P[np.ix_((0, 1, 5), (0, 1, 5))]
+        return pose, (self.P + self.common)[np.ix_((0, 1, 5), (0, 1, 5))]
 
     def carry(self, odometry: Array, stamp: float, growth: Array) -> None:
         """Bring the state to another pose of the dead reckoning.

@@ -117,6 +117,26 @@ def crossing_angle(normal, plane, p):
     return theta, -nx / turning, -ny / turning, -normal[2] / turning
 
 
+@njit(cache=True)
+def angle_by_planes(normal, derivatives, theta, p):
+    """Derivative of `crossing_angle` by phi_1, phi_2, phi_r, from (R_theta N) . p = 0.
+
+    Args:
+        normal: of the plane. Shape (3,).
+        derivatives: of it, from `normal_derivatives`. Shape (3, 3): parameter, axis.
+        theta: angle at which it meets p, rad.
+        p: in head, m. Shape (3,).
+    """
+    c, s = np.cos(theta), np.sin(theta)
+    x, y, z = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
+    turning = normal[0] * y - normal[1] * x
+    out = np.empty(3)
+    for i in range(3):
+        d = derivatives[i]
+        out[i] = -(d[0] * x + d[1] * y + d[2] * z) / turning
+    return out
+
+
 @dataclass(frozen=True)
 class Crossings:
     """Angles measured in one revolution.

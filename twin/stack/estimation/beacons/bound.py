@@ -9,6 +9,7 @@ differences of the closed form, and nothing is marginalised but by inverting the
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array, transform
 from twin.stack.estimation.beacons.angles import angles_of
@@ -23,6 +24,7 @@ from twin.stack.estimation.beacons.stamps import (
 )
 
 TAU = 2.0 * np.pi
+MARGIN = 6e-3  # s beyond a revolution for which pulses are listened to; guess, as in the plant
 STEP = 1e-5  # m and rad of the central differences
 
 
@@ -36,6 +38,8 @@ class Setting:
         noise, counter, spin_rate: of stamps and spin.
         sync: times of the synchronising pulses about the middle of the revolution, s. Shape (k,).
         revolutions: averaged, at rest, each with its own noise but the same survey.
+        seen: which crossings of each node were stamped; all without. Shape (n, 2).
+        planes: covariance of what is believed of phi_1, phi_2, phi_r, rad^2; known without. (3, 3).
     """
 
     survey: NodeSurvey
@@ -45,15 +49,17 @@ class Setting:
     spin_rate: float = 30.0
     sync: Array | None = None
     revolutions: int = 1
+    seen: NDArray[np.bool_] | None = None
+    planes: Array | None = None
 
     def pulses(self) -> Array:
         """Times of the pulses; without given ones, those that a batch of one turn holds on average.
 
-        A batch reaches 2 ms beyond the revolution on either side (guess, as in the plant).
+        A batch reaches `MARGIN` beyond the revolution on either side.
         """
         if self.sync is not None:
             return np.asarray(self.sync, dtype=float)
-        half, period = 0.5 / self.spin_rate + 2e-3, SyncSequence().period
+        half, period = 0.5 / self.spin_rate + MARGIN, SyncSequence().period
         n = int(np.floor(2 * half / period))
         return np.asarray(period * (np.arange(n) - 0.5 * (n - 1)), dtype=np.float64)
 
@@ -70,7 +76,10 @@ def pose_bound(T_world_head: Array, setting: Setting, twist_head: Array | None =
     sigma = np.maximum(np.repeat(setting.survey.sigma, 3), 1e-9)
     information[place, place] += np.diag(1.0 / sigma**2)
     information[turn, turn] += np.diag(_speed_prior(setting))
-    known = place.stop  # the planes' angles, which come last, are known here
+    known = place.stop  # the planes' angles come last
+    if setting.planes is not None:
+        information[known:, known:] += np.linalg.inv(setting.planes)
+        known += 3
     return np.asarray(scaled_inverse(information[:known, :known])[:6, :6], dtype=np.float64)
 
 
@@ -133,7 +142,8 @@ def _information(T: Array, setting: Setting, twist: Array | None):
     J_pose, J_place, J_phi = _derivatives(T, nodes, setting, twist, times)
     for i in range(n):
         for k in range(2):
-            if not np.isfinite(times[i, k]):
+            missed = setting.seen is not None and not setting.seen[i, k]
+            if missed or not np.isfinite(times[i, k]):
                 continue
             row = np.zeros(phi.stop)
             turned(row, float(times[i, k]))

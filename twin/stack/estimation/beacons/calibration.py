@@ -17,7 +17,7 @@ import numpy as np
 from twin.geometry import Array
 from twin.stack.estimation.beacons.angles import Crossings, normal_derivatives, normals
 from twin.stack.estimation.beacons.consensus import find_poses, floor_of
-from twin.stack.estimation.beacons.refine import linearise, motion, moved
+from twin.stack.estimation.beacons.refine import by_planes, linearise, motion, moved
 from twin.stack.estimation.beacons.small import scaled_inverse
 from twin.stack.estimation.beacons.stamps import HeadParameters, NodeSurvey
 
@@ -157,15 +157,9 @@ class Bundle:
         if not linearise(R[k], p[k], rows, places, *seen, n, A, s, r, J):
             return None
         shared = np.zeros((m, 3 + 3 * len(places)))
-        # From (R_theta N) . x = 0: d theta = -(R_theta dN) . x / (R'_theta N . x).
-        x = (places[stop.node] - p[k]) @ R[k]
-        theta = stop.theta - r
-        c, sn = np.cos(theta), np.sin(theta)
-        back = np.stack([c * x[:, 0] + sn * x[:, 1], c * x[:, 1] - sn * x[:, 0], x[:, 2]], axis=1)
-        N = n[stop.plane]
-        turning = N[:, 0] * back[:, 1] - N[:, 1] * back[:, 0]
-        dN = normal_derivatives(head)[:, stop.plane]
-        shared[:, :3] = -np.einsum("imj,mj->mi", dN, back) / turning[:, None]
+        seen = stop.node, stop.plane, stop.theta - r
+        by_plane = normal_derivatives(head).transpose(1, 0, 2).copy()
+        shared[:, :3] = by_planes(R[k], p[k], places, *seen, n, by_plane, A, s)
         shared[rows[:, None], 3 + 3 * stop.node[:, None] + np.arange(3)] = -J[:, :3]
         L = self.whiteners[k]
         return L @ r, L @ shared, L @ J

@@ -2,19 +2,23 @@
 
 `Locator.fix` is our estimator: clocks by a line, all visible nodes at once, each crossing at its
 own instant, outliers rejected, never without redundancy. `Locator.source_fix` is the method of
-Liu et al. 2022 beside it: neighbouring pulses, the speed of the revolution before, three nodes in
-closed form and a fourth to choose.
+Liu et al. 2022 beside it: neighbouring pulses, three nodes in closed form and a fourth to choose.
+Its Eq. 3 takes the speed of the revolution before; a batch of the plant holds one revolution and
+the stack keeps none, so what runs there is the speed of the revolution itself.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.geometry import Array, apply, inverse, transform
 from twin.stack.estimation.beacons.angles import (
     TAU,
     Crossings,
     measure,
+    normal_derivatives,
     normals,
     rays,
     rotation_angle,
@@ -28,7 +32,14 @@ from twin.stack.estimation.beacons.p3p import (
     triple_fault,
     virtual_plane_error,
 )
-from twin.stack.estimation.beacons.refine import head_twist, motion
+from twin.stack.estimation.beacons.refine import (
+    ITERATIONS,
+    by_planes,
+    head_twist,
+    least_squares,
+    motion,
+    pose_by_angles,
+)
 from twin.stack.estimation.beacons.rigid import cross_matrix, rigid_fit
 from twin.stack.estimation.beacons.settle import Settled, settle
 from twin.stack.estimation.beacons.stamps import (
@@ -55,6 +66,7 @@ class Fix:
     Attributes:
         T_world_base: in the middle of the revolution. Shape (4, 4).
         covariance: shift in world axes, m, then turn in base axes, rad. Shape (6, 6).
+        common: the part of it that is the calibration's, an error of all fixes alike. Shape (6, 6).
         time: of that instant, s of the synchronising sequence (see `clocks`).
         T_world_head: the same of the head. Shape (4, 4).
         head_covariance: the same for the head, turn in head axes. Shape (6, 6).
@@ -65,6 +77,7 @@ class Fix:
 
     T_world_base: Array
     covariance: Array
+    common: Array
     time: float
     T_world_head: Array
     head_covariance: Array
@@ -82,6 +95,8 @@ class Locator:
         survey: of the nodes.
         head: angles of the planes, nominal or calibrated.
         T_base_head: mount of the head. Shape (4, 4).
+        head_covariance: of `head` (rad) and of the mount's shift in base (m) and turn in head axes
+            (rad), with what they have in common: errors of all fixes alike. Shape (9, 9).
         sequence, counter, noise: of the network.
         spin_rate: nominal turns per second, within a few percent.
         loosest: standard deviation of the position, along the worst axis, that is still a fix, m.
@@ -91,6 +106,7 @@ class Locator:
     survey: NodeSurvey
     head: HeadParameters = field(default_factory=HeadParameters)
     T_base_head: Array = field(default_factory=lambda: np.eye(4))
+    head_covariance: Array = field(default_factory=lambda: np.zeros((9, 9)))
     sequence: SyncSequence = field(default_factory=SyncSequence)
     counter: Counter = field(default_factory=Counter)
     noise: Noise = field(default_factory=Noise)
@@ -99,14 +115,28 @@ class Locator:
     height: float = float("inf")
     tilt: float = float("inf")
 
+    @cached_property
+    def _planes(self) -> tuple[Array, Array]:
+        """Normals, and their derivatives by the angles, planes first. Shapes (2, 3), (2, 3, 3)."""
+        derivatives = np.ascontiguousarray(normal_derivatives(self.head).transpose(1, 0, 2))
+        return normals(self.head), derivatives
+
+    @cached_property
+    def _floor(self) -> Array:
+        return floor_of(self.T_base_head, self.height, self.tilt)
+
+    @cached_property
+    def _T_head_base(self) -> Array:
+        return inverse(self.T_base_head)
+
+    @cached_property
+    def _by_mount(self) -> Array:
+        return base_from_mount(self.T_base_head)
+
     def crossings(self, stamps: StampBatch) -> tuple[Crossings, float] | NoFix:
         """Angles of the last whole revolution, and the time of its middle."""
-        unknown = [name for name in stamps.nodes if name not in self.survey.index]
-        if unknown:
-            known = ", ".join(self.survey.names)
-            return NoFix("unknown node", f"{unknown[0]} is not in the survey; it has {known}")
-        if len(set(stamps.nodes)) < len(stamps.nodes):
-            return NoFix("malformed stamps", "a node stands in the batch twice")
+        if fault := self._names_fault(stamps):
+            return fault
         aligned = align(stamps, self.sequence, self.counter, self.noise)
         if isinstance(aligned, NoFix):
             return aligned
@@ -138,14 +168,14 @@ class Locator:
         self, seen: Crossings, time: float, names: tuple[str, ...], body_twist: Array
     ) -> Fix | NoFix:
         """Pose from measured crossings; see `fix`."""
-        at = np.array([self.survey.index[name] for name in names], dtype=np.int64)
-        nodes = np.ascontiguousarray(self.survey.p_world[at], dtype=np.float64)
-        sigma_node = np.asarray(self.survey.sigma, dtype=np.float64)[at]
+        listed = np.array([self.survey.index[name] for name in names], dtype=np.int64)
+        nodes = np.ascontiguousarray(self.survey.p_world[listed], dtype=np.float64)
+        sigma_node = np.asarray(self.survey.sigma, dtype=np.float64)[listed]
         twist = head_twist(body_twist, self.T_base_head)
         A, s = motion(twist, seen.time)
         still = bool(np.abs(twist).max() < STILL)
-        data = nodes, sigma_node, seen.node, seen.plane, seen.theta, normals(self.head), A, s
-        floor = floor_of(self.T_base_head, self.height, self.tilt)
+        data = nodes, sigma_node, seen.node, seen.plane, seen.theta, self._planes[0], A, s
+        floor = self._floor
         R, p, cost, _, found, visible, triples = find_poses(*data, seen.covariance, still, floor)
         if visible < 3:
             return NoFix("few nodes", f"{visible} nodes with both planes, wanted 4")
@@ -156,7 +186,11 @@ class Locator:
         if not found:
             return NoFix("no solution", f"no pose agrees with more than three of {visible} nodes")
         start = [(R[k], p[k], cost[k]) for k in range(found)]
-        settled = settle(start, data, seen.covariance, floor)
+        at = R[0], p[0], nodes, seen.node, seen.plane, seen.theta
+        D = by_planes(*at, *self._planes, A, s)  # hardly another one at the other starts
+        planes = self.head_covariance[:3, :3]
+        whole = seen.covariance + D @ planes @ D.T
+        settled = settle(start, data, whole, floor)
         if isinstance(settled, NoFix):
             return settled
         rows, chi, covariance = settled.rows, settled.chi_square, settled.covariance
@@ -164,13 +198,22 @@ class Locator:
         if not sigma < self.loosest:
             return self._loose(settled, nodes[np.unique(seen.node[rows])], sigma)
         T_world_head = transform(settled.R, settled.p)
-        T_head_base = inverse(self.T_base_head)
+        T_head_base = self._T_head_base
+        T_world_base = T_world_head @ T_head_base
+        gain = pose_by_angles(settled.R, settled.p, rows, *data, whole, covariance)
+        shifts = -gain @ D[rows]
         J = base_from_head(T_world_head, T_head_base)
+        by_head = np.empty((6, 9))
+        by_head[:, :3], by_head[:3, 3:] = J @ shifts, T_world_base[:3, :3] @ self._by_mount[:3]
+        by_head[3:, 3:] = self._by_mount[3:]
+        common = by_head @ self.head_covariance @ by_head.T
+        own = covariance - shifts @ planes @ shifts.T
         label = [(names[n], int(k) + 1) for n, k in zip(seen.node, seen.plane, strict=True)]
         used = set(rows.tolist())
         return Fix(
-            T_world_head @ T_head_base,
-            J @ covariance @ J.T,
+            T_world_base,
+            J @ own @ J.T + common,
+            common,
             time,
             T_world_head,
             covariance,
@@ -179,6 +222,30 @@ class Locator:
             chi,
             len(rows) - 6,
         )
+
+    def refined(
+        self, seen: Crossings, R: Array, p: Array, rows: NDArray[np.int64]
+    ) -> tuple[Array, Array, Array]:
+        """The head's pose at rest by crossings that are to be trusted, near a given one.
+
+        Args:
+            seen: node i is the survey's i-th.
+            R, p: of T_world_head, about. Shapes (3, 3), (3,).
+            rows: the crossings.
+
+        Returns:
+            T_world_head (4, 4), its covariance with the planes as known (6, 6), and its derivative
+            by what is believed of the planes (6, 3).
+        """
+        nodes = np.ascontiguousarray(self.survey.p_world, dtype=np.float64)
+        sigma = np.asarray(self.survey.sigma, dtype=np.float64)
+        A, s = motion(np.zeros(6), seen.time)
+        R, p, n = R.copy(), p.copy(), self._planes[0]
+        data = nodes, sigma, seen.node, seen.plane, seen.theta, n, A, s
+        _, _, covariance, _ = least_squares(R, p, rows, *data, seen.covariance, ITERATIONS)
+        D = by_planes(R, p, nodes, seen.node, seen.plane, seen.theta, *self._planes, A, s)
+        gain = pose_by_angles(R, p, rows, *data, seen.covariance, covariance)
+        return transform(R, p), covariance, -gain @ D[rows]
 
     def _loose(self, settled: Settled, nodes: Array, sigma: float) -> NoFix:
         """Why the position is loose: the head near the cylinder through the nodes, or not."""
@@ -191,9 +258,9 @@ class Locator:
         """`T_world_head` by the source's method: three nodes, and a fourth to choose. (4, 4).
 
         Angles by Eqs. 2 and 3 with the speed of the revolution before; where the batch holds but
-        one revolution, by its own.
+        one revolution, as the plant's do, by its own.
         """
-        if fault := self._four_fault(stamps, four):
+        if fault := self._names_fault(stamps) or self._four_fault(stamps, four):
             return fault
         aligned = align(stamps, self.sequence, self.counter, self.noise, interpolate=True)
         if isinstance(aligned, NoFix):
@@ -234,6 +301,15 @@ class Locator:
             return NoFix("danger cylinder", "the head stands on the cylinder through three nodes")
         return inverse(T_head_world)  # Eqs. 27, 28
 
+    def _names_fault(self, stamps: StampBatch) -> NoFix | None:
+        unknown = [name for name in stamps.nodes if name not in self.survey.index]
+        if unknown:
+            known = ", ".join(self.survey.names)
+            return NoFix("unknown node", f"{unknown[0]} is not in the survey; it has {known}")
+        if len(set(stamps.nodes)) < len(stamps.nodes):
+            return NoFix("malformed stamps", "a node stands in the batch twice")
+        return None
+
     def _four_fault(self, stamps: StampBatch, four: tuple[str, ...]) -> NoFix | None:
         for name in four:
             if name not in self.survey.index:
@@ -251,6 +327,14 @@ def base_from_head(T_world_head: Array, T_head_base: Array) -> Array:
     J = np.eye(6)
     J[:3, 3:] = -R @ cross_matrix(lever)
     J[3:, 3:] = T_head_base[:3, :3].T
+    return J
+
+
+def base_from_mount(T_base_head: Array) -> Array:
+    """Derivative of the base's small error in its own axes by the mount's. Shape (6, 6)."""
+    J = -np.eye(6)
+    J[3:, 3:] = -T_base_head[:3, :3]
+    J[:3, 3:] = cross_matrix(T_base_head[:3, 3]) @ J[3:, 3:]
     return J
 
 

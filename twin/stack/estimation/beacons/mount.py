@@ -38,11 +38,19 @@ class Stop:
 
 @dataclass(frozen=True)
 class Mount:
-    """Result: `T_base_head`, covariance (6, 6) of its shift in base and turn in head axes, the cost
-    in sigmas squared, and how many residuals exceed the unknowns."""
+    """Result.
+
+    Attributes:
+        T_base_head: shape (4, 4).
+        covariance: of its shift in base (m) and turn in head axes (rad). Shape (6, 6).
+        by_stops: derivative of that error by those of the k stops' poses. Shape (6, 6 k).
+        cost: in sigmas squared.
+        freedom: how many residuals exceed the unknowns.
+    """
 
     T_base_head: Array
     covariance: Array
+    by_stops: Array
     cost: float
     freedom: int
 
@@ -79,12 +87,19 @@ def calibrate_mount(stops: list[Stop], start: Array) -> Mount:
         if np.abs(step).max() < 1e-10 or abs(before - cost) < 1e-12 * (1.0 + cost):
             break
     values, vectors = np.linalg.eigh(N)
-    covariance = ((vectors / np.maximum(values, 1e-9)) @ vectors.T)[:6, :6]
+    inverted = (vectors / np.maximum(values, 1e-9)) @ vectors.T
+    covariance = inverted[:6, :6]
     sigma = np.sqrt(np.diag(covariance))
     if np.any(sigma > LOOSEST):
         loose = ", ".join(AXES[i] for i in np.nonzero(sigma > LOOSEST)[0])
         raise ValueError(f"mount: {loose} undetermined by these stops; turn and drive between them")
-    return Mount(T, covariance, cost, len(r) - N.shape[0])
+    r, J = _linearised(stops, T, bases)
+    by_stops, row = np.empty((6, 6 * len(stops))), 0
+    for k, stop in enumerate(stops):
+        L = np.linalg.inv(np.linalg.cholesky(stop.covariance))
+        by_stops[:, 6 * k : 6 * k + 6] = inverted[:6] @ J[row : row + 6].T @ L
+        row += 9 if k else 6  # its pose, and but for the first the way there
+    return Mount(T, covariance, by_stops, cost, len(r) - N.shape[0])
 
 
 def _planar(T: Array) -> Array:

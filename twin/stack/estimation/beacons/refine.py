@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from twin.geometry import Array
-from twin.stack.estimation.beacons.angles import crossing_angle
+from twin.stack.estimation.beacons.angles import angle_by_planes, crossing_angle
 from twin.stack.estimation.beacons.small import (
     backward,
     cholesky,
@@ -94,6 +94,49 @@ def linearise(R, p, rows, nodes, node, plane, theta, normals, A, s, r, J):
         J[k, 4] = h[2] * q[0] - h[0] * q[2]
         J[k, 5] = h[0] * q[1] - h[1] * q[0]
     return True
+
+
+@njit(cache=True)
+def by_planes(R, p, nodes, node, plane, theta, normals, derivatives, A, s):
+    """Derivative of all crossings' angles by phi_1, phi_2, phi_r, the head at R, p. Shape (m, 3).
+
+    Args:
+        derivatives: `normal_derivatives`, planes first. Shape (2, 3, 3): plane, parameter, axis.
+    """
+    out, q, x = np.empty((len(theta), 3)), np.empty(3), np.empty(3)
+    for i in range(len(theta)):
+        P = nodes[node[i]]
+        dx, dy, dz = P[0] - p[0], P[1] - p[1], P[2] - p[2]
+        for a in range(3):
+            q[a] = R[0, a] * dx + R[1, a] * dy + R[2, a] * dz
+        for a in range(3):
+            x[a] = A[i, a, 0] * q[0] + A[i, a, 1] * q[1] + A[i, a, 2] * q[2] - s[i, a]
+        d = angle_by_planes(normals[plane[i]], derivatives[plane[i]], theta[i], x)
+        for a in range(3):
+            out[i, a] = d[a]
+    return out
+
+
+@njit(cache=True)
+def pose_by_angles(
+    R, p, rows, nodes, sigma_node, node, plane, theta, normals, A, s, covariance, pose_covariance
+):
+    """Derivative of the pose that `least_squares` finds by its crossings' angles. Shape (6, k)."""
+    k = len(rows)
+    r, J, W, out = np.empty(k), np.empty((k, 6)), np.empty((k, k)), np.zeros((6, k))
+    linearise(R, p, rows, nodes, node, plane, theta, normals, A, s, r, J)
+    weigh(rows, node, covariance, sigma_node, J, W)
+    for a in range(6):
+        column = np.empty(k)
+        for i in range(k):
+            column[i] = 0.0
+            for b in range(6):
+                column[i] += J[i, b] * pose_covariance[a, b]
+        forward(W, k, column)
+        backward(W, k, column)
+        for i in range(k):
+            out[a, i] = column[i]
+    return out
 
 
 @njit(cache=True)

@@ -1,11 +1,13 @@
 """Which nodes to trust: the pose stands only if no other choice of the culprit explains the data.
 
 A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, nodes that a
-plane met twice, which are beside a mirror for sure, are left out; if there are none, every single
-node, then every pair, is tried as the culprit. The pose is given only if all choices that leave an
-acceptable rest, and a vehicle that stands on the floor, lead to the same place. Rejecting the
-crossing with the largest residual, as is usual, picks the wrong culprit in about one of a hundred
-small reflections.
+plane met twice, which are beside a mirror for sure, are left out; if there are none, or the others
+do not agree either, every single node is tried as the culprit. If none can be, and seven nodes or
+more are left to check one another, every pair is. The pose is given only if all choices that leave
+an acceptable rest, and a vehicle that stands on the floor, lead to the same place. A choice whose
+rest is too small to be tested may be the right one, so then there is no fix. Rejecting the crossing
+with the largest residual, as is usual, picks the wrong culprit in about one of a hundred small
+reflections.
 """
 
 from dataclasses import dataclass
@@ -82,7 +84,7 @@ def settle(
         found = []
         for start, rows in product(apart, readings):
             rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
-            if len(rest) - 6 < least or _redundancy(rest, node) is not None:
+            if not _checked(rest, node, least):
                 continue
             fitted = _fitted(start, rest, data, covariance, floor)
             if fitted is not None and fitted.acceptable(strict):
@@ -99,9 +101,16 @@ def settle(
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
             break
-        for culprits in combinations(trusted, count):
-            # What is left must check itself better than those left out could check it.
-            agreeing += fits(culprits, False, LEAST_FREEDOM * count)
+        # What is left must check itself better than those left out could check it.
+        least = LEAST_FREEDOM * count
+        choices = list(combinations(trusted, count))
+        left = [readings[0][~np.isin(node[readings[0]], culprits)] for culprits in choices]
+        if not all(_checked(rest, node, least) for rest in left):
+            if count == 1:
+                return NoFix("no redundancy", "without the node that lies too little may be left")
+            break
+        for culprits in choices:
+            agreeing += fits(culprits, False, least)
     if agreeing:
         agreeing = _plausible(agreeing, floor)
         if _one_place(agreeing):
@@ -192,10 +201,15 @@ def _redundancy(rows: NDArray[np.int64], node: NDArray[np.int64]) -> NoFix | Non
     return None
 
 
+def _checked(rest: NDArray[np.int64], node: NDArray[np.int64], least: int) -> bool:
+    """Whether what is left without the culprits can contradict itself."""
+    return len(rest) - 6 >= least and _redundancy(rest, node) is None
+
+
 def _one_place(fits: list[Settled]) -> bool:
     """Whether the best one's place is that of all."""
     best = _best(fits)
-    return all(_same_place(best, other) for other in fits)
+    return all(other is best or _same_place(best, other) for other in fits)
 
 
 def _same_place(a: Settled, b: Settled) -> bool:
