@@ -19,6 +19,7 @@ TURN_DEG = 12.0
 BANK = 1 << 20  # stored standard normals
 OFF_CENTRE = 0.25  # of the crop's side, of the part that it is taken about
 MOSAIC = 0.6  # of the crops are four in one
+SMEAR = 3.5  # px of motion at most
 SEEN, HINTED = 0.45, 0.1  # share of a part from which it is a target; below the second, nothing
 
 
@@ -135,9 +136,22 @@ def _lit(
             rng.uniform(0, 6)
         )
         lit = cv2.add(lit, noise, dtype=cv2.CV_8U)
-    if rng.random() < 0.15:
+    kind = rng.random()
+    if kind < 0.12:
         lit = cv2.GaussianBlur(lit, (0, 0), rng.uniform(0.4, 1.0))
+    elif kind < 0.45:
+        lit = cv2.filter2D(lit, -1, _smear(rng.uniform(0.5, SMEAR), rng.uniform(0, np.pi)))
     return np.asarray(lit, np.uint8)
+
+
+def _smear(length: float, angle: float) -> Array:
+    """Kernel of a motion by `length` px. Shape (7, 7)."""
+    kernel = np.zeros((7, 7), np.float32)
+    for t in np.linspace(-0.5, 0.5, 13) * length:
+        u, v = 3 + t * np.cos(angle), 3 + t * np.sin(angle)
+        i, j = int(v), int(u)
+        kernel[i : i + 2, j : j + 2] += np.outer((1 - v + i, v - i), (1 - u + j, u - j))
+    return kernel / kernel.sum()
 
 
 def _cover(image: NDArray[np.uint8], found: list, rng: np.random.Generator) -> list:
