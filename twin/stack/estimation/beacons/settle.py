@@ -33,7 +33,7 @@ Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 r
 # Chi-square of two degrees that a node may cost: one in 1000; of five nodes one in 250. Four good
 # ones and one that is off by just what passes here and pulls the pose five sigma are the worst.
 BLOCK_LIMIT, BLOCK_LIMIT_OF_FIVE = 13.8, 11.0
-REFUTED = 13.8  # chi-square beyond the best choice's at which another one is out: one in 1000
+REFUTED = 25.0  # chi-square beyond the best choice's at which another one is out: one in a million
 # m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma; guess: a head
 # is bolted on no better
 USUAL = np.array([0.003, 0.003, 0.003])
