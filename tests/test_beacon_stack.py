@@ -135,7 +135,7 @@ def test_four_flat_nodes_with_three_on_a_line_do_not_send_the_vehicle_into_the_a
 def test_nothing_but_small_hidden_reflections():
     """4000 turns before the default cell's truss, images of 1 to 32 mm in place of the node.
 
-    Expected: none is wrong, more than 0.82 have a fix; models/beacon/README.md.
+    Expected: none is wrong, more than 0.78 have a fix; models/beacon/README.md.
     """
     rng, place = np.random.default_rng(0), locator(config())
     survey, wrong, fixes = place.survey, 0, 0
@@ -160,7 +160,7 @@ def test_nothing_but_small_hidden_reflections():
                 bounds[good] = position_sigma(bound)
             off = fix.T_world_head[:3, 3] - seen.head_pose(0.0)[:3, 3]
             wrong += bool(np.any(np.abs(off) > 5.0 * bounds[good]))
-    assert wrong == 0 and fixes > 0.82 * 4000
+    assert wrong == 0 and fixes > 0.78 * 4000
 
 
 # --- filter -------------------------------------------------------------------------------------
