@@ -3,8 +3,10 @@
 A node that reflects is wrong as a whole. If all nodes agree, none is left out. If not, nodes that a
 plane met twice, which are beside a mirror for sure, are left out; if there are none, or the others
 do not agree either, every single node is tried as the culprit. If none can be, and seven nodes or
-more are left to check one another, every pair is. The pose is given only if all choices that leave
-an acceptable rest, and a vehicle that stands on the floor, lead to the same place. A choice whose
+more are left to check one another, every pair is. The pose is given only if the best choice leaves
+an acceptable rest, and all that are not far less likely, by their residuals and by how the vehicle
+would stand on the floor, lead to the same place. (That each leaves an acceptable rest must not be
+asked: once in 100,000 turns the right one does not, just where a wrong one does.) A choice whose
 rest is too small to be tested may be the right one, so then there is no fix. Rejecting the crossing
 with the largest residual, as is usual, picks the wrong culprit in about one of a hundred small
 reflections.
@@ -33,11 +35,12 @@ Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 r
 # Chi-square of two degrees that a node may cost: one in 1000; of five nodes one in 250. Four good
 # ones and one that is off by just what passes here and pulls the pose five sigma are the worst.
 BLOCK_LIMIT, BLOCK_LIMIT_OF_FIVE = 13.8, 11.0
-REFUTED = 25.0  # chi-square beyond the best choice's at which another one is out: one in a million
-# m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma; guess: a head
-# is bolted on no better
-USUAL = np.array([0.003, 0.003, 0.003])
-AGREE = 3.0  # sigmas by which positions of different culprits may differ
+REFUTED = 25.0  # chi-square beyond the best choice's at which another is out: four in a million
+# m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma. DIN 18202
+# lets a floor be off by 3 mm over 1 m (table 3, line 4), taken as 2 sigma; a calibrated head adds
+# nothing to speak of.
+USUAL = np.array([0.0015, 0.0015, 0.0015])
+AGREE = 2.0  # sigmas by which positions of different culprits may differ
 TWINS = 60.0  # sigmas between two crossings of a plane below which either may be the true one
 MOST_READINGS = 8  # choices among such crossings that are tried
 APART = 0.03  # m and rad between starts that may end in different places
@@ -46,7 +49,10 @@ MOST_STARTS = 3
 
 @dataclass(frozen=True)
 class Settled:
-    """A pose R, p of T_world_head, the crossings that made it, and how well they agree."""
+    """A pose R, p of T_world_head, the crossings that made it, and how well they agree.
+
+    `stance` is the chi-square of how the vehicle would stand, see `standing`.
+    """
 
     R: Array
     p: Array
@@ -54,13 +60,20 @@ class Settled:
     chi_square: float
     covariance: Array
     blocks: Array
+    stance: float
+
+    @property
+    def cost(self) -> float:
+        """Chi-square of residuals and stance."""
+        return self.chi_square + self.stance
 
     def acceptable(self, strict: bool) -> bool:
-        """Whether the residuals as a whole are those of the noise; strictly, each node's too."""
+        """Whether residuals and stance are those of the noise; strictly, each node's too."""
         limit = chi_square_limit(len(self.rows) - 6, Z_LIMIT)
         five = np.count_nonzero(self.blocks) == LEAST_NODES + 1
         each = BLOCK_LIMIT_OF_FIVE if five else BLOCK_LIMIT
-        return self.chi_square < limit and (not strict or self.blocks.max() < each)
+        stands = self.stance < chi_square_limit(3, Z_LIMIT)
+        return stands and self.chi_square < limit and (not strict or self.blocks.max() < each)
 
 
 def settle(
@@ -80,23 +93,23 @@ def settle(
         return fault
     apart = _apart(starts)
 
-    def fits(culprits: tuple[int, ...], strict: bool, least: int = LEAST_FREEDOM) -> list[Settled]:
+    def fits(culprits: tuple[int, ...], least: int = LEAST_FREEDOM) -> list[Settled]:
         found = []
         for start, rows in product(apart, readings):
             rest = rows[~np.isin(node[rows], culprits)] if culprits else rows
             if not _checked(rest, node, least):
                 continue
             fitted = _fitted(start, rest, data, covariance, floor)
-            if fitted is not None and fitted.acceptable(strict):
+            if fitted is not None:
                 found.append(fitted)
         return found
 
-    agreeing = fits((), True)
+    agreeing = [fitted for fitted in fits(()) if fitted.acceptable(True)]
     if agreeing and _one_place(agreeing):
         return _best(agreeing)
     if doubled := _doubled(node, data[3]):
         # Beside a mirror, for sure. The others can do without it, if they check one another.
-        agreeing = fits(doubled, True) or agreeing
+        agreeing = [fitted for fitted in fits(doubled) if fitted.acceptable(True)] or agreeing
     trusted = np.unique(node).tolist()
     for count in (1, 2):
         if agreeing or len(trusted) - count < LEAST_NODES:
@@ -109,10 +122,11 @@ def settle(
             if count == 1:
                 return NoFix("no redundancy", "without the node that lies too little may be left")
             break
-        for culprits in choices:
-            agreeing += fits(culprits, False, least)
+        others = [fitted for culprits in choices for fitted in fits(culprits, least)]
+        if any(fitted.acceptable(False) for fitted in others):
+            agreeing = others
     if agreeing:
-        agreeing = _plausible(agreeing, floor)
+        agreeing = [f for f in agreeing if f.cost < min(g.cost for g in agreeing) + REFUTED]
         if _one_place(agreeing):
             return _best(agreeing)
         return NoFix("ambiguous", "which crossings are reflections cannot be told")
@@ -128,14 +142,7 @@ def _doubled(node: NDArray[np.int64], plane: NDArray[np.int64]) -> tuple[int, ..
 
 
 def _best(fits: list[Settled]) -> Settled:
-    return min(fits, key=lambda fitted: fitted.chi_square)
-
-
-def _plausible(fits: list[Settled], floor: Array) -> list[Settled]:
-    """Those that are not far less likely than the best, by residuals and by how they stand."""
-    costs = [fitted.chi_square + standing(fitted.R, fitted.p, fitted.covariance, floor)
-             for fitted in fits]  # fmt: skip
-    return [f for f, cost in zip(fits, costs, strict=True) if cost < min(costs) + REFUTED]
+    return min(fits, key=lambda fitted: fitted.cost)
 
 
 def standing(R: Array, p: Array, covariance: Array, floor: Array) -> float:
@@ -168,7 +175,8 @@ def _fitted(start, rows, data, covariance: Array, floor: Array) -> Settled | Non
     )
     if not (np.isfinite(chi) and upright(R, p, floor, 1.0)):
         return None
-    return Settled(R, p, rows, chi, pose_covariance, blocks)
+    stance = standing(R, p, pose_covariance, floor)
+    return Settled(R, p, rows, chi, pose_covariance, blocks, stance)
 
 
 def _readings(start, data, covariance: Array) -> list[NDArray[np.int64]]:
