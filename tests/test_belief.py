@@ -20,9 +20,11 @@ FOUND = Calibration(
     angles=(-1.56, 0.01, -1.58),
     position_sigma=(1e-3, 1e-3, 1e-3),
     angle_sigma=(1e-3, 1e-3, 1e-3),
+    lidar_stand=(0.003, 0.004, -0.002),
     lidar_range_offset=0.01,
     residual_rms=1.0,
     pairs=30,
+    boards=12,
 )
 
 
@@ -30,7 +32,8 @@ def test_a_calibration_moves_the_depth_camera_and_nothing_else(tmp_path):
     save_calibration(FOUND, tmp_path / "c.json")
     layout = load_layout(None, (f"options.calibration={tmp_path / 'c.json'}",))
     drawn, found = nominal_config(layout.site, layout.options), belief(layout)
-    T = found.T_base_lidar @ FOUND.T_lidar_rgbd
+    T = found.T_base_lidar @ FOUND.T_level_rgbd
+    assert not np.allclose(FOUND.T_level_rgbd, FOUND.T_lidar_rgbd, atol=1e-3)
     np.testing.assert_array_equal(found.rgbd.T_base_camera, T)
     assert not np.allclose(drawn.rgbd.T_base_camera, T, atol=1e-3)
     rest = replace(found, rgbd=drawn.rgbd)

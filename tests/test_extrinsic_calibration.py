@@ -25,7 +25,14 @@ from twin.stack.estimation.extrinsic_calibration import (
     rotation_exp,
     rotation_xyz,
 )
-from twin.stack.estimation.wall_pairs import _incidence, observe_walls, wall_lines
+from twin.stack.estimation.lidar_stand import BoardObservation, LidarStand, find_stand
+from twin.stack.estimation.wall_pairs import (
+    _incidence,
+    observe_boards,
+    observe_walls,
+    pair,
+    wall_lines,
+)
 
 ANGLE = st.floats(-3.1, 3.1)
 T_BASE_LIDAR = transform(np.eye(3), (0.30, 0.0, 0.18))
@@ -98,7 +105,9 @@ def test_recovered_from_a_drive(seed):
         seen = [
             observation
             for scan_, frame, moved in drive
-            for observation in observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, belief, moved)
+            for observation in observe_walls(
+                pair(scan_, frame, CAMERA, T_BASE_LIDAR, belief, moved)
+            )
         ]
         belief = calibrate(seen, belief).T_lidar_rgbd
     shift, turn = errors(belief, true)
@@ -109,7 +118,7 @@ def test_motion_between_scan_and_picture_is_undone():
     """A wall seen 0.2 m farther on and turned has its normal and offset in the later frame."""
     scan_, pose = scan(ROOM, (0.3, 0.0, 0.0)), np.array([0.2, 0.05, 0.1])
     frame = picture(PLANES, CAMERA, CAMERA.T_base_camera, pose)
-    seen = observe_walls(scan_, frame, CAMERA, T_BASE_LIDAR, T_DRAWN, pose)
+    seen = observe_walls(pair(scan_, frame, CAMERA, T_BASE_LIDAR, T_DRAWN, pose))
     walls = [o for o in seen if abs(o.normal[2]) < 0.5]
     assert walls
     for wall in walls:
@@ -158,7 +167,7 @@ def test_lines_of_a_room():
     angles = reading.angle_min + reading.angle_increment * np.arange(len(reading.ranges))
     points = reading.ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     lines = wall_lines(points)
-    found = sorted((round(np.degrees(np.arctan2(n[1], n[0]))) % 360, d) for n, d, _, _ in lines)
+    found = sorted((round(np.degrees(np.arctan2(n[1], n[0]))) % 360, d) for n, d, *_ in lines)
     expected = [(0, 2.5), (90, 1.8), (270, 2.2)]
     assert len(found) == 3
     np.testing.assert_allclose(found, expected, atol=0.6)
@@ -196,3 +205,53 @@ def test_incidence_by_hand():
     n, a, b = np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.array([2.0, 2.0])
     assert _incidence(n, a, b) == pytest.approx(np.sqrt(0.5) / (np.pi / 4))
     assert _incidence(n, a, a) == pytest.approx(1.0)
+
+
+def board_at(x: float, y: float, stand: LidarStand, rng) -> BoardObservation:
+    """A board that leans back by 45 degrees towards the lidar, and beams of the lidar on it."""
+    n = np.array([-x, -y, 0.0]) / np.hypot(x, y) + (0, 0, 1)
+    n /= np.linalg.norm(n)
+    offset = float(n @ (x, y, 0.0))
+    T = stand.T_level_lidar
+    angles = np.arctan2(y, x) + np.linspace(-0.1, 0.1, 40)
+    beams = np.stack([np.cos(angles), np.sin(angles), np.zeros(40)], axis=1)
+    ranges = (offset - n @ T[:3, 3]) / (beams @ T[:3, :3].T @ n) + 0.002 * rng.standard_normal(40)
+    return BoardObservation(n, offset, ranges[:, None] * beams[:, :2])
+
+
+def test_boards_tell_how_the_lidar_hangs():
+    """4 mm too high, rolled by 0.3 and pitched by -0.2 degrees; found to 1 mm and 0.05 degrees."""
+    rng, true = np.random.default_rng(0), LidarStand((0.004, 0.0052, -0.0035))
+    boards = [board_at(x, y, true, rng) for x in (0.8, 1.9) for y in np.linspace(-0.7, 0.7, 8)]
+    found = find_stand(boards)
+    assert found.boards == 16
+    np.testing.assert_allclose(found.values, true.values, atol=0.001)
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(np.subtract(found.values, true.values)) < 3 * sigma)
+    assert np.all(sigma < (0.003, 0.002, 0.002))
+
+
+def test_without_boards_the_lidar_hangs_as_drawn():
+    found = find_stand([])
+    assert found.values == (0.0, 0.0, 0.0) and found.boards == 0
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.01)
+
+
+def test_a_board_is_no_wall_and_its_plane_is_found():
+    """A face that leans back by 45 degrees, from the floor 1 m before the lidar up to 0.45 m."""
+    rng, x = np.random.default_rng(1), 1.3
+    face = (np.array([x, -0.4, 0.0]), np.array([0.0, 0.8, 0.0]), np.array([0.45, 0.0, 0.45]))
+    line = np.array([[(x + 0.18, -0.4), (x + 0.18, 0.4)]])  # where the scan cuts it
+    pose = np.zeros(3)
+    seen = pair(
+        scan(np.concatenate([ROOM, line]), (0.3, 0.0, 0.0), rng),
+        picture([*PLANES, face], CAMERA, CAMERA.T_base_camera, pose, rng),
+        *(CAMERA, T_BASE_LIDAR, T_DRAWN, pose),
+    )
+    (found,) = observe_boards(seen, T_DRAWN)
+    n = found.normal * np.sign(found.normal[2])
+    np.testing.assert_allclose(n, np.array([-1, 0, 1]) / 2**0.5, atol=0.01)
+    np.testing.assert_allclose(found.beams[:, 0], x + 0.18 - 0.3, atol=0.05)
+    assert abs(find_stand([found]).values[0]) < 0.004
+    offsets = [wall.offset for wall in observe_walls(seen) if abs(wall.normal[0]) > 0.9]
+    assert not any(abs(offset - found.beams[:, 0].mean()) < 0.1 for offset in offsets)

@@ -192,7 +192,9 @@ def calibration(T) -> Calibration:
     from twin.stack.estimation.extrinsic_calibration import fixed_angles
 
     x, y, z = T[:3, 3].tolist()
-    return Calibration((x, y, z), fixed_angles(T[:3, :3]), (1e-3,) * 3, (1e-3,) * 3, 0.002, 0.9, 12)
+    return Calibration(
+        (x, y, z), fixed_angles(T[:3, :3]), (1e-3,) * 3, (1e-3,) * 3, (0.0,) * 3, 0.002, 0.9, 12, 0
+    )
 
 
 def test_calibration_file_gives_back_what_was_saved(tmp_path):
@@ -206,7 +208,7 @@ def test_calibration_file_gives_back_what_was_saved(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"version": 1', '"version": 9', "version 9, known is 1"),
+        ('"version": 2', '"version": 9', "version 9, known is 2"),
         ('"pairs": 12', '"pears": 12', "missing or unknown: pairs, pears"),
         ('"residual_rms": 0.9', '"residual_rms": NaN', "residual_rms: wanted 1 finite"),
         ("{", "[", "cannot be read"),

@@ -8,6 +8,8 @@ import pytest
 
 from evaluation.run import RunRequest
 from scenarios.mapping import (
+    BOARD,
+    BOARDS,
     BOTH_SEE,
     LIDAR_MISSES,
     ROUTE,
@@ -36,7 +38,8 @@ def test_obstacles_stand_beside_the_route_and_are_of_all_kinds(seed):
     layout = with_obstacles(LAYOUT, np.random.default_rng(seed))
     obstacles = layout.world.faults.obstacles
     kinds = Counter(o.kind for o in obstacles)
-    assert len(obstacles) == 12 and all(kinds[kind] in (1, 2) for kind in LIDAR_MISSES)
+    assert kinds.pop(BOARD) == len(BOARDS)
+    assert kinds.total() == 12 and all(kinds[kind] in (1, 2) for kind in LIDAR_MISSES)
     assert sum(kinds[kind] for kind in LIDAR_MISSES) == 6  # half, as the requirement has it
     assert sum(kinds[kind] for kind in BOTH_SEE) == 6
     boxes = [rectangle(*o.pose, *OUTLINE[o.kind]) for o in obstacles]
@@ -63,8 +66,8 @@ def test_the_mapper_without_walls_gets_the_calibration_of_the_other():
     state = SimpleNamespace(fused_pose=np.zeros(3))
     free.observe(SimpleNamespace(stamp=0.0, readings=(), state=state))
     assert not free.mapper.calibrated
-    found = Calibration((0.0, 0.0, 0.4), (-1.57, 0.0, -1.57), (0.001,) * 3, (0.001,) * 3, 0.012,
-                        1.0, 30)  # fmt: skip
+    found = Calibration((0.0, 0.0, 0.4), (-1.57, 0.0, -1.57), (0.001,) * 3, (0.001,) * 3,
+                        (0.0,) * 3, 0.012, 1.0, 30, 0)  # fmt: skip
     free.calibration = lambda: found
     free.observe(SimpleNamespace(stamp=0.1, readings=(), state=state))
     assert free.mapper.calibration is found

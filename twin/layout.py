@@ -79,7 +79,9 @@ class Obstacle(Strict):
     above it, a black panel throws its light back too weakly, a glass panel not at all.
     """
 
-    kind: Literal["carton", "pillar", "low_box", "table", "black_panel", "glass_panel"]
+    kind: Literal[
+        "carton", "pillar", "low_box", "table", "black_panel", "glass_panel", "calibration_board"
+    ]
     pose: Pose2
     appears: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0  # s; 0: there from the start
     near: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0  # m: appears when the vehicle is so near

@@ -24,6 +24,7 @@ OUTLINE = {
     "table": (0.80, 0.60),
     "black_panel": (0.80, 0.12),  # with its feet
     "glass_panel": (0.80, 0.12),
+    "calibration_board": (0.80, 0.44),
 }
 MOVER_OUTLINE = (0.50, 0.40)
 BLACK, GLASS = "black", "glass"  # geoms that the lidar reads wrongly, by the end of their names

@@ -1,7 +1,9 @@
 """What the vehicle has measured of its own sensors, and the file that keeps it.
 
 A run collects pairs of scan and depth picture while the vehicle turns; the result replaces the
-drawing's pose of the depth camera and takes the lidar's constant error off its ranges.
+drawing's pose of the depth camera and takes the lidar's constant error off its ranges. Walls and
+floor tell the camera's pose against a level frame at the lidar, sloping boards how the lidar hangs
+in it.
 """
 
 import json
@@ -20,10 +22,11 @@ from twin.stack.estimation.extrinsic_calibration import (
     fixed_angles,
     rotation_xyz,
 )
+from twin.stack.estimation.lidar_stand import BoardObservation, LidarStand, find_stand
 from twin.stack.estimation.scans import scan_fault, without_offset
-from twin.stack.estimation.wall_pairs import observe_walls
+from twin.stack.estimation.wall_pairs import observe_boards, observe_walls, pair
 
-VERSION = 1
+VERSION = 2
 RANGE_SIGMA = 0.010  # m, 1 sigma of a unit's constant error: data sheet, 30 mm taken as 3 sigma
 ROUNDS = 3  # with a better belief, points find their walls better
 SPACING = 0.10  # rad or m that the vehicle moves between two pairs that are used
@@ -43,19 +46,26 @@ class Calibration:
     angles: tuple[float, float, float]  # gamma, beta, alpha about the fixed axes x, y, z
     position_sigma: tuple[float, float, float]
     angle_sigma: tuple[float, float, float]
+    lidar_stand: tuple[float, float, float]  # m over its drawn height; roll, pitch
     lidar_range_offset: float  # m that the lidar reads too far
     residual_rms: float  # in units of the believed noise
     pairs: int  # of scan and picture
+    boards: int  # seen by both; without any the lidar is believed to hang as drawn
     version: int = VERSION
 
     @property
     def T_lidar_rgbd(self) -> Array:
-        """Shape (4, 4)."""
+        """Of the lidar as it hangs. Shape (4, 4)."""
         return transform(rotation_xyz(*self.angles), self.position)
+
+    @property
+    def T_level_rgbd(self) -> Array:
+        """In a level frame at the lidar's drawn height. Shape (4, 4)."""
+        return LidarStand(self.lidar_stand).T_level_lidar @ self.T_lidar_rgbd
 
     def applied(self, config: StackConfig) -> StackConfig:
         """The belief with the depth camera where it was found."""
-        T = config.T_base_lidar @ self.T_lidar_rgbd
+        T = config.T_base_lidar @ self.T_level_rgbd
         return replace(config, rgbd=replace(config.rgbd, T_base_camera=T))
 
 
@@ -81,7 +91,8 @@ def load_calibration(path: Path) -> Calibration:
     if version != VERSION:
         raise ValueError(f"calibration {path}: version {version}, known is {VERSION}")
     wanted = {name: 3 for name in ("position", "angles", "position_sigma", "angle_sigma")}
-    wanted |= {"lidar_range_offset": 0, "residual_rms": 0, "pairs": 0, "version": 0}
+    wanted |= {"lidar_stand": 3, "lidar_range_offset": 0, "residual_rms": 0}
+    wanted |= {"pairs": 0, "boards": 0, "version": 0}
     if set(tree) != set(wanted):
         odd = ", ".join(sorted(set(tree) ^ set(wanted)))
         raise ValueError(f"calibration {path}: missing or unknown: {odd}")
@@ -152,27 +163,32 @@ class CalibrationRun:
         config = self._config
         T = inverse(config.T_base_lidar) @ config.rgbd.T_base_camera
         removed, found = 0.0, None
+        boards: list[BoardObservation] = []
         for _ in range(ROUNDS):
-            seen: list[PlaneObservation] = []
+            walls: list[PlaneObservation] = []
+            boards.clear()
             for scan, frame, moved in self._pairs:
-                seen += observe_walls(
-                    without_offset(scan, removed),
-                    frame,
-                    config.rgbd,
-                    config.T_base_lidar,
-                    T,
-                    moved,
-                )
-            found = calibrate(seen, T, range_sigma=RANGE_SIGMA, range_removed=removed)
+                scan = without_offset(scan, removed)
+                seen = pair(scan, frame, config.rgbd, config.T_base_lidar, T, moved)
+                if seen is not None:
+                    walls += observe_walls(seen)
+                    boards += observe_boards(seen, T)
+            found = calibrate(walls, T, range_sigma=RANGE_SIGMA, range_removed=removed)
             T, removed = found.T_lidar_rgbd, found.range_offset
         assert found is not None
-        sigma = np.sqrt(np.diag(found.covariance)).tolist()
+        stand = find_stand(boards)
+        height, roll, pitch = np.diag(stand.covariance)
+        known = np.diag(found.covariance) + np.array([roll, pitch, 0.0, 0.0, 0.0, height])
+        sigma = np.sqrt(known).tolist()
+        T = inverse(stand.T_level_lidar) @ T
         return Calibration(
             position=tuple(T[:3, 3].tolist()),
             angles=fixed_angles(T[:3, :3]),
             position_sigma=tuple(sigma[3:]),
             angle_sigma=tuple(sigma[:3]),
+            lidar_stand=stand.values,
             lidar_range_offset=removed,
             residual_rms=found.rms,
             pairs=self.pairs,
+            boards=stand.boards,
         )

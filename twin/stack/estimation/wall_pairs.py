@@ -1,9 +1,12 @@
-"""Walls that lidar and depth camera see at once: the data of the extrinsic calibration.
+"""Walls and boards that lidar and depth camera see at once: the data of the extrinsic calibration.
 
 Lines are fitted to stretches of the scan; the camera's points that, by the belief so far, lie on a
-stretch are taken for points of its wall. What the vehicle moved between the two exposures is
-known from odometry and undone.
+stretch are taken for points of its wall, unless they lean: then it is a sloping board, which tells
+how the lidar hangs (`lidar_stand`). What the vehicle moved between the two exposures is known from
+odometry and undone.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +15,7 @@ from twin.geometry import Array, apply, inverse, pose2_to_transform, wrap_angle
 from twin.messages import LidarScan, RgbdFrame
 from twin.stack.config import Camera
 from twin.stack.estimation.extrinsic_calibration import PlaneObservation
+from twin.stack.estimation.lidar_stand import BoardObservation
 from twin.stack.estimation.scans import beam_points, scan_fault
 
 GAP = 0.25  # m between neighbouring end points at which a stretch of wall ends
@@ -23,16 +27,40 @@ MAX_RANGE = 3.0  # m of the camera's points that are used
 FLOOR_REACH, FLOOR_TURN = 0.06, 0.04  # m and rad by which the belief may lift or tilt the floor
 FLOOR_CLEAR = 0.30  # m between floor that counts and what the scan saw behind it
 NOISE_AT_1M = 0.010  # m, 1 sigma of depth
+ALIKE = 0.985  # cosine of a line's normal with that of the points on it: 10 degrees
+# Of a board: the same, its points' distance (m) along the floor and up from the scan's line, and
+# the share of them that must lie within three sigmas of the plane.
+BOARD, BOARD_REACH, BOARD_HEIGHT, FLAT = (0.35, 0.94), 0.25, 0.15, 0.9
 
 
-def wall_lines(points: Array) -> list[tuple[Array, float, Array, Array]]:
+@dataclass(frozen=True)
+class Pair:
+    """One scan and one depth picture, in the lidar's frame at the picture by the belief so far.
+
+    Attributes:
+        stretches: of the scan: normal (3,), offset (m), ends (2,) and (2,), end points (k, 3).
+        p_rgbd, p_lidar: the camera's points in either frame. Shape (n, 3).
+        height: of them above the floor, m. Shape (n,).
+        before_obstacles: whether they lie well before what the scan saw. Shape (n,).
+        floor: z of the floor, m.
+    """
+
+    stretches: list[tuple[Array, float, Array, Array, Array]]
+    p_rgbd: Array
+    p_lidar: Array
+    height: Array
+    before_obstacles: NDArray[np.bool_]
+    floor: float
+
+
+def wall_lines(points: Array) -> list[tuple[Array, float, Array, Array, Array]]:
     """Straight stretches in the order of the beams: split where bent, fitted by least squares.
 
     Args:
         points: end points in the order of the beams. Shape (n, 2).
 
     Returns:
-        Normal (2,), offset (m, positive), and the two ends (2,) of each stretch.
+        Normal (2,), offset (m, positive), the two ends (2,) and the points (k, 2) of each stretch.
     """
     if len(points) < MIN_BEAMS:
         return []
@@ -57,20 +85,19 @@ def wall_lines(points: Array) -> list[tuple[Array, float, Array, Array]]:
         reach = (part - middle) @ along
         if np.ptp(reach) >= MIN_LENGTH:
             ends = middle + along * reach.min(), middle + along * reach.max()
-            lines.append((np.sign(offset) * normal, abs(offset), *ends))
+            lines.append((np.sign(offset) * normal, abs(offset), *ends, part))
     return lines
 
 
-def observe_walls(
+def pair(
     scan: LidarScan,
     frame: RgbdFrame,
     camera: Camera,
     T_base_lidar: Array,
     T_lidar_rgbd: Array,
     frame_in_scan: Array,
-    most: int = 150,
-) -> list[PlaneObservation]:
-    """Walls and floor in one pair of readings.
+) -> Pair | None:
+    """One pair of readings; None for readings that are of no use.
 
     Args:
         scan, frame: taken shortly after one another.
@@ -78,13 +105,9 @@ def observe_walls(
         T_base_lidar: on the drawing; its height above the floor is taken for granted.
         T_lidar_rgbd: belief so far.
         frame_in_scan: x, y, yaw of the base at the picture in the base at the scan.
-        most: points used of each plane, evenly spread over those that were seen.
-
-    Returns:
-        Planes in the lidar's frame at the picture; none for readings that are of no use.
     """
     if scan_fault(scan) is not None or frame.depth_mm.shape != (camera.height, camera.width):
-        return []
+        return None
     v, u = np.nonzero(frame.depth_mm)
     z = 1e-3 * frame.depth_mm[v, u].astype(np.float64)
     keep = z < MAX_RANGE
@@ -94,27 +117,94 @@ def observe_walls(
         [(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1, dtype=np.float64
     )
     p_lidar = apply(T_lidar_rgbd, p_rgbd)
-    height = p_lidar[:, 2] + T_base_lidar[2, 3]
-    T_scan_frame = pose2_to_transform(frame_in_scan)
     # Of the lidar: from its frame at the scan to its frame at the picture.
-    T_now_scan = inverse(inverse(T_base_lidar) @ T_scan_frame @ T_base_lidar)
-    seen = []
-    for normal2, offset, a, b in wall_lines(beam_points(scan)):
+    T_now_scan = inverse(inverse(T_base_lidar) @ pose2_to_transform(frame_in_scan) @ T_base_lidar)
+    stretches = []
+    for normal2, offset, *ends, points in wall_lines(beam_points(scan)):
         normal = T_now_scan[:3, :3] @ (*normal2, 0.0)
         offset = offset + float(normal @ T_now_scan[:3, 3])
-        a, b = (apply(T_now_scan, np.array([*end, 0.0]))[:2] for end in (a, b))
+        a, b = (apply(T_now_scan, np.array([*end, 0.0]))[:2] for end in ends)
+        points = apply(T_now_scan, np.column_stack([points, np.zeros(len(points))]))
+        stretches.append((normal, offset, a, b, points))
+    before = _before_obstacles(scan, apply(inverse(T_now_scan), p_lidar))
+    floor = -float(T_base_lidar[2, 3])
+    return Pair(stretches, p_rgbd, p_lidar, p_lidar[:, 2] - floor, before, floor)
+
+
+def observe_walls(seen: Pair, most: int = 150) -> list[PlaneObservation]:
+    """Walls and floor of one pair, in the lidar's frame.
+
+    Args:
+        seen: the pair.
+        most: points used of each plane, evenly spread over those that were seen.
+    """
+    planes, p_lidar, height = [], seen.p_lidar, seen.height
+    for normal, offset, a, b, _ in seen.stretches:
         length = float(np.hypot(*(b - a)))
         along = (p_lidar[:, :2] - a) @ ((b - a) / length)
         on_wall = np.abs(p_lidar @ normal - offset) < REACH
         on_wall &= (along > MARGIN) & (along < length - MARGIN) & (height > MARGIN)
+        if np.count_nonzero(on_wall) < MIN_BEAMS or not _alike(p_lidar[on_wall], normal):
+            continue
         bias = _incidence(normal[:2], a, b)
-        seen += _plane(normal, offset, p_rgbd[on_wall], most, bias)
+        planes += _plane(normal, offset, seen.p_rgbd[on_wall], most, bias)
     floor = np.abs(height) < FLOOR_REACH + FLOOR_TURN * np.hypot(p_lidar[:, 0], p_lidar[:, 1])
     # The foot of a wall would pass for floor that rises: only floor well before it counts.
-    floor &= _before_obstacles(scan, apply(inverse(T_now_scan), p_lidar))
-    z_floor = -float(T_base_lidar[2, 3])
-    seen += _plane(np.array([0.0, 0.0, 1.0]), z_floor, p_rgbd[floor], most)
-    return seen
+    floor &= seen.before_obstacles
+    return planes + _plane(np.array([0.0, 0.0, 1.0]), seen.floor, seen.p_rgbd[floor], most)
+
+
+def observe_boards(seen: Pair, T_lidar_rgbd: Array) -> list[BoardObservation]:
+    """Sloping boards of one pair, in a level frame at the lidar.
+
+    Args:
+        seen: the pair.
+        T_lidar_rgbd: belief so far.
+    """
+    boards, R, t = [], T_lidar_rgbd[:3, :3], T_lidar_rgbd[:3, 3]
+    for normal, offset, a, b, beams in seen.stretches:
+        length = float(np.hypot(*(b - a)))
+
+        def near(p: Array, normal=normal, offset=offset, a=a, b=b, length=length):
+            along = (p[:, :2] - a) @ ((b - a) / length)
+            inside = (along > MARGIN) & (along < length - MARGIN)
+            inside &= (np.abs(p @ normal - offset) < BOARD_REACH) & (np.abs(p[:, 2]) < BOARD_HEIGHT)
+            return inside, along
+
+        chosen, _ = near(seen.p_lidar)
+        if np.count_nonzero(chosen) < MIN_BEAMS:
+            continue
+        # Which points count must not hang on their noise: again by where rays meet the plane.
+        rays = seen.p_rgbd / seen.p_rgbd[:, 2:]
+        met = rays / (rays @ _by_inverse_depth(seen.p_rgbd[chosen]))[:, None]
+        chosen, along = near(met @ R.T + t)
+        if np.count_nonzero(chosen) < MIN_BEAMS:
+            continue
+        plane = _by_inverse_depth(seen.p_rgbd[chosen])
+        n = R @ plane / np.linalg.norm(plane)
+        d = 1.0 / float(np.linalg.norm(plane)) + float(n @ t)
+        sigma = NOISE_AT_1M * _square(seen.p_rgbd[chosen])
+        off = np.abs(seen.p_lidar[chosen] @ n - d)
+        if not BOARD[0] < abs(n[2]) < BOARD[1] or np.mean(off < 3.0 * sigma) < FLAT:
+            continue
+        reach = (beams[:, :2] - a) @ ((b - a) / length)
+        # Only where the camera sees it: a picture that cuts off a board shows what is beside it.
+        beams = beams[(reach > along[chosen].min()) & (reach < along[chosen].max())]
+        if len(beams) >= MIN_BEAMS:
+            boards.append(BoardObservation(n, d, beams[:, :2], sigma / len(off) ** 0.5))
+    return boards
+
+
+def _by_inverse_depth(points: Array) -> Array:
+    """Plane n . p = 1: the error of stereo is the same in 1/z everywhere. Shape (3,)."""
+    return np.linalg.lstsq(points / points[:, 2:], 1.0 / points[:, 2], rcond=None)[0]
+
+
+def _alike(points: Array, normal: Array) -> bool:
+    """Whether the points make a plane that looks the same way, and not a board or a corner."""
+    off = points - points.mean(axis=0)
+    _, vectors = np.linalg.eigh(off.T @ off)
+    return bool(abs(vectors[:, 0] @ normal) > ALIKE)
 
 
 def _incidence(normal: Array, a: Array, b: Array) -> float:
