@@ -196,6 +196,20 @@ def test_a_cart_that_stops_is_an_obstacle_but_its_lane_is_remembered():
     assert end[1] - start[1] > 0.6  # on its old way
 
 
+def test_the_way_of_a_cart_that_is_lost_from_sight_is_remembered_for_a_while():
+    """Seen from x = 0 to 0.55 m, given up after 4 s, its way kept for 20 s more."""
+    objects = MovingObjects()
+    for k in range(12):
+        face = np.column_stack([np.full(9, 0.05 * k), np.linspace(-0.2, 0.2, 9)])
+        objects.update(0.1 * k, face)
+    for k in range(12, 60):
+        objects.update(0.1 * k, np.zeros((0, 2)), in_view=lambda xy: False)
+    assert len(objects.obstacles(5.9)) == 0
+    ((start, end, half),) = objects.lanes(5.9)
+    assert start[0] < 0.1 and end[0] == pytest.approx(0.55, abs=0.1) and 0.2 < half < 0.4
+    assert objects.lanes(26.0) == []
+
+
 def test_what_goes_out_of_the_lidars_view_is_expected_to_go_on():
     objects = MovingObjects()
     for k in range(12):

@@ -36,7 +36,7 @@ class MovingOptions:
     deep: float = 0.40  # m at least that it reaches behind what is seen of it; a cart's width
     margin: float = 0.08  # m by which it is taken larger
     late: float = 0.25  # s of its way by which it is taken larger: speed and place are estimates
-    resume: float = 20.0  # s for which one that has stopped may go on as before
+    resume: float = 20.0  # s for which one that has stopped, or is lost from sight, may go on
     about: float = 2.0  # s after its last move within which it may just be turning about
     braking: float = 0.15  # m that it needs to stop before a vehicle that stands
     lane: float = 4.0  # s of its way that others had better leave free
@@ -121,6 +121,9 @@ class MovingObjects:
     def __init__(self, options: MovingOptions | None = None):
         self.options = options or MovingOptions()
         self.objects: list[MovingObject] = []
+        # Of those that were lost from sight while they moved: where from and to they were seen
+        # going, and when they were given up.
+        self._lost: list[tuple[Array, Array, float]] = []
 
     def update(
         self,
@@ -174,9 +177,14 @@ class MovingObjects:
                     mean, start.copy(), stamp, middles[j], seen[j] - seen[j].mean(axis=0), 1, stamp
                 )
             )
-        self.objects = [
-            each for each in self.objects if stamp - each.seen <= self._memory(each, in_view)
-        ]
+        self._lost = [way for way in self._lost if stamp - way[2] < o.resume]
+        followed, self.objects = self.objects, []
+        for each in followed:
+            if stamp - each.seen <= self._memory(each, in_view):
+                self.objects.append(each)
+            elif each.moves:
+                last = each.mean[POSITION] - each.mean[VELOCITY] * (each.stamp - each.seen)
+                self._lost.append((each.born, last, stamp))
 
     def _memory(self, each: MovingObject, in_view: Callable[[Array], bool]) -> float:
         o = self.options
@@ -203,13 +211,18 @@ class MovingObjects:
         return np.array(rows).reshape(-1, 7)
 
     def lanes(self, now: float) -> list[tuple[Array, Array, float]]:
-        """Where what moves, or has stopped lately, will go: from, to in world, half width, m."""
-        o, out = self.options, []
+        """Where what moves, or has stopped lately, will go: from, to in world, half width, m.
+
+        What was lost from sight lately may be anywhere on the way that it was seen going.
+        """
+        o = self.options
+        half = 0.5 * o.deep + o.margin
+        out = [(a, b, half) for a, b, when in self._lost if now - when < o.resume]
         for each in self.objects:
             if each.moves or now - each.last_moved < o.resume:
                 way = each.mean[VELOCITY] if each.moves else each.last_way
                 start = each.mean[POSITION] + each.mean[VELOCITY] * (now - each.stamp)
-                out.append((start, start + o.lane * way, 0.5 * o.deep + o.margin))
+                out.append((start, start + o.lane * way, half))
         return out
 
     def threats(self, now: float, time: float) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.geometry import Array
 from twin.stack.planning.clearance import Footprint
+from twin.stack.planning.costmap import INSCRIBED
 from twin.stack.planning.surroundings import Surroundings
 from twin.stack.planning.teb_trajectory import Trajectory
 from twin.stack.planning.viewpoint import ViewOptions, viewpoint
@@ -61,7 +62,7 @@ class LookFirst:
             return math.inf
         return self._unknown(trajectory, phase, within)[0]
 
-    def before(self, trajectory: Trajectory, start: Array) -> bool:
+    def before(self, now: float, trajectory: Trajectory, start: Array) -> bool:
         """Whether a vehicle that stands must not set out by a band, but plan anew.
 
         It has then either got `views` to look from first, or must do without.
@@ -77,7 +78,10 @@ class LookFirst:
         if not had and self._here < o.looks and self._total < o.most:
             self._here, self._total = self._here + 1, self._total + 1
             around = self._surroundings
-            view = viewpoint(around.costs(), around.known, start, point, self._footprint, o.view)
+            # Not where a cart goes to and fro: it drives there as it is headed, perhaps backwards,
+            # where the lidar is blind.
+            costs = around.costs_with_lanes(now, INSCRIBED)
+            view = viewpoint(costs, around.known, start, point, self._footprint, o.view)
             if view is not None:
                 # First there as it is headed now, then turned: there is room to turn.
                 self.views = [np.array([*view[:2], start[2]]), view]

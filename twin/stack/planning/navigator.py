@@ -253,7 +253,7 @@ class Navigator:
             plan = self._band(now, start, speed, near, None if moving_on else o.squeeze)
             reason = plan.reason
             if plan.trajectory is not None:
-                if not moving_on and self.look.before(plan.trajectory, start):
+                if not moving_on and self.look.before(now, plan.trajectory, start):
                     self._next_aim()
                     return self._plan(now, pose, velocity)
                 if self.follower.trajectory is not plan.trajectory:

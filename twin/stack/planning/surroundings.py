@@ -118,13 +118,13 @@ class Surroundings:
         """Metres about a goal within which the margin is not asked for: where the vehicle fits."""
         return self.options.approach if self.costs().fits(goal, self._footprint) else 0.0
 
-    def costs_with_lanes(self, now: float) -> Costmap:
-        """Likewise, where what moves is going dearer."""
+    def costs_with_lanes(self, now: float, cost: int = LANE) -> Costmap:
+        """Likewise, where what moves is going dearer, or closed."""
         costs, lanes = self.costs(), self.layer.moving.lanes(now)
         if lanes:
             costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
             for a, b, half in lanes:
-                costs.dearer(a, b, half + self._footprint.inscribed, LANE)
+                costs.dearer(a, b, half + self._footprint.inscribed, cost)
         return costs
 
     def along(self, now: float, way: Array, start: Array, length: float) -> Array:
