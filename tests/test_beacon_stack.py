@@ -299,6 +299,8 @@ def test_a_calibration_survives_its_file(tmp_path):
         ({"wheels": 4}, "wheels"),
         ({"planes": [0.0, 0.0, 0.0]}, "planes"),
         ({"mount_quat_wxyz": [0.0, 0.0, 0.0, 0.0]}, "mount_quat_wxyz"),
+        ({"mount_quat_wxyz": [1.0, 0.0, 0.0, 0.0]}, "mount_quat_wxyz"),
+        ({"mount_position": [50.0, 0.0, 0.0]}, "mount_position"),
         ({"stops": 0}, "stops"),
     ],
 )

@@ -31,8 +31,9 @@ from twin.stack.estimation.map_correction import growth
 WAY, WAY_TURN = np.array([0.002, 0.002, 0.0005]), np.array([0.0005, 0.0005, 0.0005])
 WAY_FLOOR = np.array([2e-4, 2e-4, 1e-4])  # m, m, rad
 
-FAR = 0.1  # rad from the drawn planes, thirty sigmas of how they are built: another head
+FAR = 0.1  # rad and m from the drawing, thirty sigmas and more of how a head is built and bolted on
 DRAWN = BeaconHead().planes.as_array().tolist()
+MOUNT = BeaconHead().T_base_head
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
@@ -60,6 +61,10 @@ class BeaconCalibration(Strict):
             raise ValueError("mount_quat_wxyz: not of unit length")
         if any(abs(p - q) > FAR for p, q in zip(self.planes, DRAWN, strict=True)):
             raise ValueError(f"planes: more than {FAR} rad from those of the drawing")
+        if np.abs(np.subtract(self.mount_position, MOUNT[:3, 3])).max() > FAR:
+            raise ValueError(f"mount_position: more than {FAR} m from that of the drawing")
+        if np.abs(rotation_from_quat(self.mount_quat_wxyz) - MOUNT[:3, :3]).max() > FAR:
+            raise ValueError(f"mount_quat_wxyz: more than {FAR} rad from that of the drawing")
         C = np.array(self.covariance)
         off = np.abs(C - C.T).max() > 1e-6 * np.abs(C).max()
         if off or not np.all(np.diag(C) > 0.0) or np.linalg.eigvalsh(C)[0] < -1e-6 * C.max():

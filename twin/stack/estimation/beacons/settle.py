@@ -32,9 +32,10 @@ from twin.stack.estimation.beacons.stamps import NoFix
 LEAST_FREEDOM = 2  # crossings beyond the six that make a pose
 LEAST_NODES = 4
 Z_LIMIT = 3.7  # normal deviate of the chi-square test: one good fix in 10,000 refused
-# Chi-square of two degrees that a node may cost: one in 1000; of five nodes one in 250. Four good
-# ones and one that is off by just what passes here and pulls the pose five sigma are the worst.
-BLOCK_LIMIT, BLOCK_LIMIT_OF_FIVE = 13.8, 11.0
+# Chi-square of two degrees that a node may cost: one in 1000; of five nodes or four one in 250.
+# Four good ones and one that is off by just what passes here and pulls the pose five sigma are the
+# worst.
+BLOCK_LIMIT, BLOCK_LIMIT_OF_FEW, FEW = 13.8, 11.0, 5
 REFUTED = 25.0  # chi-square beyond the best choice's at which another is out: four in a million
 # m, rad, rad: of a base's height over the floor and its tilt about two axes, 1 sigma. DIN 18202
 # lets a floor be off by 3 mm over 1 m (table 3, line 4), taken as 2 sigma; a calibrated head adds
@@ -70,8 +71,8 @@ class Settled:
     def acceptable(self, strict: bool) -> bool:
         """Whether residuals and stance are those of the noise; strictly, each node's too."""
         limit = chi_square_limit(len(self.rows) - 6, Z_LIMIT)
-        five = np.count_nonzero(self.blocks) == LEAST_NODES + 1
-        each = BLOCK_LIMIT_OF_FIVE if five else BLOCK_LIMIT
+        few = np.count_nonzero(self.blocks) <= FEW
+        each = BLOCK_LIMIT_OF_FEW if few else BLOCK_LIMIT
         stands = self.stance < chi_square_limit(3, Z_LIMIT)
         return stands and self.chi_square < limit and (not strict or self.blocks.max() < each)
 
@@ -123,7 +124,7 @@ def settle(
                 return NoFix("no redundancy", "without the node that lies too little may be left")
             break
         others = [fitted for culprits in choices for fitted in fits(culprits, least)]
-        if any(fitted.acceptable(False) for fitted in others):
+        if others and _best(others).acceptable(False):
             agreeing = others
     if agreeing:
         agreeing = [f for f in agreeing if f.cost < min(g.cost for g in agreeing) + REFUTED]
