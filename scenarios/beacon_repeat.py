@@ -48,6 +48,7 @@ CRITERIA = [
     *[Criterion(f"gain_over_bounds_{a}", ">=", 0.9) for a in "yz"],
     *[Criterion(f"gain_over_bounds_{a}", "<=", 1.1) for a in "yz"],
     *[Criterion(f"sigma_filtered_{a}_mm", "<=", 0.5) for a in "yz"],
+    Criterion("rms_error_filtered_mm", "<=", 1.0),  # one that stands still scatters little too
     Criterion("rmse_over_bound", "<=", 1.15),
 ]
 

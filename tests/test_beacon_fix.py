@@ -330,6 +330,29 @@ def test_bad_input_is_named():
     assert isinstance(found, NoFix) and found.reason == "no reference"
 
 
+def test_a_dazzled_node_is_left_out_and_a_dazzled_network_gives_no_fix():
+    """Expected: 40 false crossings a plane on one node cost that node; on all, a named reason."""
+    rng, world = np.random.default_rng(5), BeaconWorld()
+    stamps, place = world.batch(rng), locator(world)
+
+    def dazzled(channels):
+        channel, kind, ticks = [stamps.channel], [stamps.kind], [stamps.ticks]
+        for c in channels:
+            own = stamps.ticks[stamps.channel == c]
+            for plane in (PLANE_1, PLANE_1 + 1):
+                channel.append(np.full(40, c))
+                kind.append(np.full(40, plane))
+                ticks.append(rng.integers(own.min(), own.max(), 40))
+        channel, kind, ticks = (np.concatenate(v) for v in (channel, kind, ticks))
+        order = np.lexsort((ticks, channel))
+        return StampBatch(stamps.nodes, channel[order], kind[order], ticks[order])
+
+    found = fixed(place.fix(dazzled([2])))
+    assert NAMES[1] not in {name for name, _ in found.used} and len(found.used) == 10
+    none = place.fix(dazzled(range(1, len(NAMES) + 1)))
+    assert isinstance(none, NoFix) and none.reason == "few nodes"
+
+
 def test_random_rubbish_never_crashes():
     """Expected: no fix of random bits.
 

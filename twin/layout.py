@@ -149,7 +149,7 @@ class BeaconFaults(Strict):
     """What goes wrong in the photoelectric network."""
 
     blocked: tuple[Name, ...] = ()  # nodes to which no light of the head comes
-    reflections: tuple[Reflection, ...] = ()
+    reflections: Annotated[tuple[Reflection, ...], Field(max_length=32)] = ()
     # turns of the head after which the lot makes another node blocked and another one reflect,
     # besides those above; 0: never
     shuffle: Annotated[int, Field(ge=0, le=1_000_000)] = 0

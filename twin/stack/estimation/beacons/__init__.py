@@ -2,6 +2,8 @@
 
 The printed source has slips. What is built here was derived anew and differs in:
 
+- Eq. 3: takes the speed of the revolution before; the plant's batches hold one revolution, so
+  `Locator.source_fix` takes that one's own. With both, its scatter is the same within its noise.
 - Eq. 6: the cross product points away from the node where both tilts are positive; the sign is
   chosen so that the ray lies before the fan (`angles.rays`).
 - Eq. 7: treats y as vertical and takes an arcsine of a ratio of legs. Here z is up:

@@ -23,6 +23,7 @@ from twin.stack.estimation.beacons.stamps import (
 )
 
 TAU = 2.0 * np.pi
+MOST_CROSSINGS = 3  # of a node by a plane in a turn: itself and two mirrors
 
 
 def rotation_angle(crossing, zero, zero_before):
@@ -161,10 +162,16 @@ class Crossings:
 def measure(
     stamps: StampBatch, aligned: Aligned, turn: Spin, counter: Counter, noise: Noise
 ) -> Crossings:
-    """Crossings of all nodes within the revolution, with their covariance."""
+    """Crossings of all nodes within the revolution, with their covariance.
+
+    A node that some plane meets more than `MOST_CROSSINGS` times is dazzled, and left out.
+    """
     u = aligned.time - turn.start
     use = (stamps.channel != T0) & (stamps.kind != SYNC) & (aligned.status[stamps.channel] == GOOD)
-    rows = np.nonzero(use & (u >= 0.0) & (u < turn.length))[0]
+    use &= (u >= 0.0) & (u < turn.length)
+    met = np.bincount(stamps.channel[use] * 3 + stamps.kind[use])
+    dazzled = np.unique(np.nonzero(met > MOST_CROSSINGS)[0] // 3)
+    rows = np.nonzero(use & ~np.isin(stamps.channel, dazzled))[0]
     u, channel, local = u[rows], stamps.channel[rows].astype(np.int64), aligned.local[rows]
     x0, f, c = turn.terms
     bow = u * (u - turn.length) / turn.length**2
