@@ -36,8 +36,9 @@ WRONG_SHIFT, WRONG_TURN = 0.030, np.radians(2.0)  # by which the camera's drawin
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 NORTH_EAST, NORTH_WEST = np.pi / 4, 3 * np.pi / 4
 # Past everything: west of the belt, through the door to goods-in, then aisle by aisle from north
-# to south; the cross aisle W is met again at each. Before an aisle it looks at the shelves on both
-# sides of its mouth: turning on the way, it would pass their first metre unseen.
+# to south, each by way of its middle, or obstacles in it might send the vehicle round by the next;
+# the cross aisle W is met again at each. Before an aisle it looks at the shelves on both sides of
+# its mouth: turning on the way, it would pass their first metre unseen.
 ROUTE = (
     ("belt west", (2.4, 1.6, NORTH)),
     ("belt north-west", (2.4, 4.5, NORTH)),
@@ -55,14 +56,17 @@ ROUTE = (
     ("E2", (14.65, 3.65, SOUTH)),
     ("E2 north-west", (14.65, 3.65, NORTH_WEST)),
     ("E2 west", (14.65, 3.65, WEST)),
+    ("M2", (11.0, 3.65, WEST)),
     ("W2", (7.35, 3.65, WEST)),
     ("W1", (7.10, 1.55, SOUTH)),
     ("W1 north-east", (7.10, 1.55, NORTH_EAST)),
     ("W1 east", (7.10, 1.55, EAST)),
+    ("M1", (11.0, 1.55, EAST)),
     ("E1", (14.55, 1.55, EAST)),
     ("E0", (14.65, -0.65, SOUTH)),
     ("E0 north-west", (14.65, -0.65, NORTH_WEST)),
     ("E0 west", (14.65, -0.65, WEST)),
+    ("M0", (11.0, -0.65, WEST)),
     ("W0", (7.35, -0.65, WEST)),
     ("C0", (5.65, -0.65, WEST)),
     ("L0", (4.4, 0.3, NORTH)),
