@@ -57,6 +57,16 @@ def motion(twist, times):
 
 
 @njit(cache=True)
+def _into_head(i, R, p, P, A, s, q, x):
+    """Node P in axes of the head at R, p (q), and when crossing i happened (x). Shapes (3,)."""
+    dx, dy, dz = P[0] - p[0], P[1] - p[1], P[2] - p[2]
+    for a in range(3):
+        q[a] = R[0, a] * dx + R[1, a] * dy + R[2, a] * dz
+    for a in range(3):
+        x[a] = A[i, a, 0] * q[0] + A[i, a, 1] * q[1] + A[i, a, 2] * q[2] - s[i, a]
+
+
+@njit(cache=True)
 def linearise(R, p, rows, nodes, node, plane, theta, normals, A, s, r, J):
     """Residuals theta - predicted, rad, and the prediction's derivatives by shift and turn.
 
@@ -75,12 +85,7 @@ def linearise(R, p, rows, nodes, node, plane, theta, normals, A, s, r, J):
     q, x, h = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(rows)):
         i = rows[k]
-        P = nodes[node[i]]
-        dx, dy, dz = P[0] - p[0], P[1] - p[1], P[2] - p[2]
-        for a in range(3):
-            q[a] = R[0, a] * dx + R[1, a] * dy + R[2, a] * dz
-        for a in range(3):
-            x[a] = A[i, a, 0] * q[0] + A[i, a, 1] * q[1] + A[i, a, 2] * q[2] - s[i, a]
+        _into_head(i, R, p, nodes[node[i]], A, s, q, x)
         angle, gx, gy, gz = crossing_angle(normals[plane[i]], plane[i], x)
         if not np.isfinite(angle):
             return False
@@ -105,12 +110,7 @@ def by_planes(R, p, nodes, node, plane, theta, normals, derivatives, A, s):
     """
     out, q, x = np.empty((len(theta), 3)), np.empty(3), np.empty(3)
     for i in range(len(theta)):
-        P = nodes[node[i]]
-        dx, dy, dz = P[0] - p[0], P[1] - p[1], P[2] - p[2]
-        for a in range(3):
-            q[a] = R[0, a] * dx + R[1, a] * dy + R[2, a] * dz
-        for a in range(3):
-            x[a] = A[i, a, 0] * q[0] + A[i, a, 1] * q[1] + A[i, a, 2] * q[2] - s[i, a]
+        _into_head(i, R, p, nodes[node[i]], A, s, q, x)
         d = angle_by_planes(normals[plane[i]], derivatives[plane[i]], theta[i], x)
         for a in range(3):
             out[i, a] = d[a]
