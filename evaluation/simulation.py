@@ -15,7 +15,7 @@ from twin.recording.log import ReadingsLog
 from twin.recording.viewer_log import ViewerLog
 from twin.stack.config import StackConfig
 from twin.stack.control_unit import ControlUnit
-from twin.stack.detection.network import NetworkError
+from twin.stack.detection.card import NetworkError
 from twin.stack.stack import Stack
 
 WARM_UP = 2.0  # s left out of the real-time factor
@@ -53,6 +53,11 @@ class Simulation:
         except NetworkError as error:
             self.plant.close()
             raise LayoutError(f"options.detector: {error}") from None
+        except ValueError as error:
+            self.plant.close()
+            if self.config.options.map is None:
+                raise
+            raise LayoutError(f"options.map: {error}") from None
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None
@@ -117,8 +122,12 @@ class Simulation:
             rtf=timed / busy if self._warm[0] and busy > 0 else float("nan"),
             complete=complete,
             trajectories=self.paths.trajectories(),
-            notes=[*notes, *self.collision_notes()],
+            notes=[*notes, *self.failure_notes(), *self.collision_notes()],
         )
+
+    def failure_notes(self) -> list[str]:
+        """With what the order was given up, if it was."""
+        return [f"order given up: {self.stack.failure}"] if self.stack.failure else []
 
     def collision_notes(self) -> list[str]:
         """Onsets of contacts that should not have been, one line each."""

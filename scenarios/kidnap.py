@@ -59,8 +59,15 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
         due = 0.0  # when the vehicle may be carried off again
         start = np.nan  # when it knew where it is
 
+        asked: list[bool] = []  # of each kidnapping, whether to a place that looks alike
+
         def over(tick: Tick) -> bool:
             nonlocal due, start
+            carried = [e for e in sim.plant.faults.log if e.kind == "kidnapped"]
+            for event in carried[len(kidnaps.episodes) :]:
+                n = len(kidnaps.episodes)
+                kidnaps.kidnapped(event.stamp, event.pose, n < len(asked) and asked[n])
+                due = event.stamp + ALONE
             if np.isnan(start) and not tick.state.lost:
                 start, due = tick.stamp, tick.stamp + ALONE
             if np.isnan(start) and tick.stamp < LIMIT:
@@ -73,6 +80,8 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
                 return False
             if len(kidnaps.episodes) == KIDNAPS:
                 return True
+            if len(asked) > len(kidnaps.episodes):
+                return False  # its place is not free yet
             pose = None
             if len(kidnaps.episodes) % 2 == 0 and tick.stamp < due + WAIT:
                 pose = floor.alike(tick.truth.pose, rng)
@@ -81,8 +90,7 @@ def run(request: RunRequest, layout: Layout) -> RunResult:
             alike = pose is not None
             pose = pose or floor.anywhere(rng)
             sim.plant.faults.carry_off(pose)
-            kidnaps.kidnapped(tick.stamp, pose, alike)
-            due = tick.stamp + ALONE
+            asked.append(alike)
             return False
 
         complete = sim.run(LONGEST, over)

@@ -130,3 +130,43 @@ def test_fused_pose_stays_within_5_cm_and_beats_the_wheels(mission):
 def test_covariance_on_the_plant_is_honest(mission):
     nees = np.concatenate([b.track.nees() for b in mission])
     assert 0.3 < nees.mean() < 3.0
+
+
+def hold(blocked_from, blocked_to, limit=60.0):
+    """A leg of 2 m that is blocked for a while; rows of time, pose and velocity."""
+    drive, loops = Drive(LIMITS), WheelLoops()
+    pose, now, rows = np.zeros(3), 0.0, []
+    drive.start(now, pose, [[2.0, 0.0, 0.0]])
+    while not drive.done and now < limit:
+        command = drive.step(now, pose, loops.velocity, blocked_from <= now < blocked_to)
+        pose = compose2(pose, exp2(loops.step(command.as_array()) * DT))
+        now += DT
+        rows.append([now, *pose, *loops.velocity])
+    return drive, np.array(rows)
+
+
+def test_a_blocked_leg_is_held_and_driven_on_when_it_is_free():
+    drive, rows = hold(1.5, 8.0)
+    assert drive.done and not drive.failure
+    held = rows[(rows[:, 0] > 3.5) & (rows[:, 0] < 8.4)]
+    assert np.ptp(held[:, 1]) < 0.01 and held[0, 1] < 1.6
+    assert rows[-1, 1] == pytest.approx(2.0, abs=0.006)
+    braking = np.diff(rows[:, 4]) / DT
+    assert braking.min() > -2.0 * LIMITS.acceleration
+    assert drive.events == ["straight leg blocked: waiting"]
+
+
+def test_a_leg_that_stays_blocked_is_given_up_with_a_reason():
+    drive, rows = hold(1.5, np.inf)
+    assert drive.done and "something stands on the way to (2.00, 0.00)" in drive.failure
+    assert rows[-1, 0] < 30.0 and np.abs(rows[-1, 4:]).max() < 0.01
+    drive.start(40.0, rows[-1, 1:4], [[0.0, 0.0, 0.0]])
+    assert not drive.done and not drive.failure
+
+
+def test_a_leg_that_never_comes_to_rest_is_given_up():
+    drive = Drive(LIMITS)
+    drive.start(0.0, np.zeros(3), [[0.5, 0.0, 0.0]])
+    for k in range(4000):
+        drive.step(k * DT, np.array([0.3, 0.0, 0.0]), np.zeros(3))
+    assert drive.done and "200 mm off" in drive.failure

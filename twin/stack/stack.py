@@ -45,6 +45,7 @@ from twin.stack.estimation.mapper import Mapper
 from twin.stack.estimation.odometry import WheelOdometry
 from twin.stack.estimation.site_map import SiteMap, floor_map, load_site_map
 from twin.stack.planning.drive import Drive
+from twin.stack.planning.leg_watch import leg_blocked
 from twin.stack.planning.navigator import Navigator
 from twin.stack.tasks.aisle import AisleKeeper
 from twin.stack.tasks.arm_worker import ArmWorker
@@ -52,7 +53,7 @@ from twin.stack.tasks.beacon_mission import beacon_mission
 from twin.stack.tasks.course_mission import course_mission
 from twin.stack.tasks.drive_mission import drive_mission
 from twin.stack.tasks.map_mission import map_mission
-from twin.stack.tasks.mission import Act, Behaviour, ended, running, sequence
+from twin.stack.tasks.mission import Act, Behaviour, end, ended, gave_up, running, sequence
 from twin.stack.tasks.parking import Parker, park_mission
 from twin.stack.tasks.pick_mission import pick_mission
 from twin.stack.tasks.picker import Picker
@@ -81,6 +82,9 @@ def drivable(config: StackConfig) -> SiteMap:
     return load_site_map(Path(config.options.map) / "fused.yaml", config.site)
 
 
+ASTRAY = 0.5  # m: a straight leg is not driven on from farther away than this
+
+
 class Stack:
     """Everything between sensors and actuators of one vehicle.
 
@@ -95,7 +99,8 @@ class Stack:
         self.localiser = Localiser(config, start)
         self.mapper: Mapper | None = None  # takes the localiser's place while mapping
         self.navigator = Navigator(config, drivable(config))
-        self.drive = Drive(config.drive)  # straight legs, without looking
+        self.drive = Drive(config.drive)  # straight legs
+        self._leg_blocked, self._lost_for_good = False, ""
         self.parker = Parker(config.drive)  # straight legs to a millimetre
         self.head: BeaconCalibrationRun | None = None  # while the network is calibrated
         self.aisle = AisleKeeper(config) if config.options.aisle == "line" else None
@@ -176,6 +181,8 @@ class Stack:
             self.aisle.hear(reading)
         if not self.localiser.lost:
             self.navigator.hear(reading, pose)
+            if not self.drive.done:
+                self._leg_blocked = self._check_leg()
         if isinstance(reading, RgbdFrame) and not self.drive.done:
             self.distance.update(reading, pose)
 
@@ -191,21 +198,42 @@ class Stack:
         if self._may_search() and not self.search.active:
             self.search.begin(stamp)
             self._believed = self.localiser.world_from_odom.copy()
+        if self.search.failed(stamp):
+            self.search.give_up()
+            self._lost_for_good = "its place was not found in time"
+            end(self._tree)
         if self.search.active:
             command = self.search.step(stamp, self.localiser)
             if not self.search.active:
                 fused = self.localiser.fused.pose(stamp)
                 off = compose2(self._believed, fused) - self.localiser.pose(stamp)
-                self.navigator.restart(float(np.hypot(*off[:2])))
+                off = float(np.hypot(*off[:2]))
+                self.navigator.restart(off)
+                if off > ASTRAY and not self.drive.done:
+                    self.drive.give_up(f"the vehicle was carried {off:.1f} m off it")
+                self.drive.resume(stamp, self.pose)
             return command
+        if self._lost_for_good:
+            return BodyVelocity()
         if self.navigator.active:
             return self.navigator.step(stamp, self.pose, velocity)
         if self.parker.active:
             return self.parker.step(stamp, self.pose)
-        command = self.drive.step(stamp, self.pose, velocity)
+        command = self.drive.step(stamp, self.pose, velocity, self._leg_blocked)
         if self.aisle is None or self.drive.done:
             return command
         return self.aisle.steered(stamp, self.drive.leg, command)
+
+    def _check_leg(self) -> bool:
+        """Whether something that is not on the map stands on the straight leg under way."""
+        leg, around = self.drive.leg, self.navigator.surroundings
+        if leg is None:
+            return False
+        strangers = around.strangers(self.now, self.pose)
+        return leg_blocked(
+            self.pose, leg.goal, self.localiser.velocity, strangers, self.navigator.footprint,
+            self.config.drive,
+        )  # fmt: skip
 
     def _may_search(self) -> bool:
         """Whether the vehicle is lost and nothing keeps it where it is: arms out, no order."""
@@ -227,6 +255,14 @@ class Stack:
         """Whether the order has been carried out (or given up) and the vehicle stands."""
         return ended(self._tree)
 
+    @property
+    def failure(self) -> str:
+        """With what the order was given up and why, in one line; empty if it was not."""
+        at = gave_up(self._tree)
+        outcome = self.navigator.outcome.replace("reached", "")
+        why = self._lost_for_good or self.drive.failure or outcome
+        return f"{at}: {why}" if at and why else at
+
     def go(self, goal: Goal) -> Act:
         """Drive to a goal by the map; fails if it is given up."""
         navigator = self.navigator
@@ -238,12 +274,18 @@ class Stack:
         )
 
     def straight(self, name: str, *route) -> Act:
-        """Drive straight from pose to pose, without looking: in to a machine and out again."""
-        return Act(
-            name,
-            done=lambda: self.drive.done,
-            start=lambda: self.drive.start(self.now, self.pose, route),
-        )
+        """Drive straight from pose to pose: in to a machine and out again."""
+        return self.leg(name, lambda: route)
+
+    def leg(self, name: str, route: Callable[[], Sequence]) -> Act:
+        """Likewise, by a route that is known when it begins; fails if it is given up."""
+
+        def start() -> None:
+            self._leg_blocked = False
+            self.drive.start(self.now, self.pose, route())
+
+        drive = self.drive
+        return Act(name, lambda: drive.done, start, lambda: drive.done and bool(drive.failure))
 
     def watch_belt(self) -> None:
         """From now on follow the parts in the mast camera's pictures, in the odometry's frame."""
@@ -263,7 +305,7 @@ class Stack:
     # --- for the record --------------------------------------------------------------------------
 
     def _snapshot(self, parts) -> StackState:
-        speakers = (*self.arms, self.navigator, self.localiser)
+        speakers = (*self.arms, self.navigator, self.drive, self.localiser)
         events = tuple(e for s in speakers for e in s.events)
         for speaker in speakers:
             speaker.events.clear()

@@ -121,8 +121,8 @@ class MovingObjects:
     def __init__(self, options: MovingOptions | None = None):
         self.options = options or MovingOptions()
         self.objects: list[MovingObject] = []
-        # Of those that were lost from sight while they moved: where from and to they were seen
-        # going, and when they were given up.
+        # Of those that were lost from sight while they moved: where they were first seen, where
+        # they ought to be by then, and when they were given up.
         self._lost: list[tuple[Array, Array, float]] = []
 
     def update(
@@ -183,8 +183,7 @@ class MovingObjects:
             if stamp - each.seen <= self._memory(each, in_view):
                 self.objects.append(each)
             elif each.moves:
-                last = each.mean[POSITION] - each.mean[VELOCITY] * (each.stamp - each.seen)
-                self._lost.append((each.born, last, stamp))
+                self._lost.append((each.born, each.mean[POSITION].copy(), stamp))
 
     def _memory(self, each: MovingObject, in_view: Callable[[Array], bool]) -> float:
         o = self.options
@@ -211,24 +210,19 @@ class MovingObjects:
         return np.array(rows).reshape(-1, 7)
 
     def lanes(self, now: float) -> list[tuple[Array, Array, float]]:
-        """Where what moves, or has stopped lately, will go: from, to in world, half width, m."""
-        o, out = self.options, []
+        """Where what moves, or has stopped lately, will go: from, to in world, half width, m.
+
+        What was lost from sight lately may be anywhere on the way that it was seen going.
+        """
+        o = self.options
         half = 0.5 * o.deep + o.margin
+        out = [(a, b, half) for a, b, when in self._lost if now - when < o.resume]
         for each in self.objects:
             if each.moves or now - each.last_moved < o.resume:
                 way = each.mean[VELOCITY] if each.moves else each.last_way
                 start = each.mean[POSITION] + each.mean[VELOCITY] * (now - each.stamp)
                 out.append((start, start + o.lane * way, half))
         return out
-
-    def ways_of_lost(self, now: float) -> list[tuple[Array, Array, float]]:
-        """Likewise the ways on which things were seen going that were lost from sight lately.
-
-        They may be anywhere on them.
-        """
-        o = self.options
-        half = 0.5 * o.deep + o.margin
-        return [(a, b, half) for a, b, when in self._lost if now - when < o.resume]
 
     def threats(self, now: float, time: float) -> Array:
         """Where what moves may be after some time, should it turn about: it stands, but larger.

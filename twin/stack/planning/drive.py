@@ -1,9 +1,11 @@
 """Drive to a pose along way-points: straight, strafe and turn on the spot.
 
 Each leg from pose to pose is one path coordinate from 0 to 1, moved along by a time-optimal profile
-of limited jerk (ruckig), which `tracking` follows.
+of limited jerk (ruckig), which `tracking` follows. A leg that is blocked is held, driven on from
+where the vehicle stands once it is free, and given up when it stays blocked.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -17,6 +19,8 @@ from twin.stack.planning.tracking import VelocityLaw, pose_error
 
 TOLERANCE, TOLERANCE_YAW = 0.005, np.radians(0.3)  # m, rad: a way-point is reached
 CORNER_WAIT = 0.15  # s at most that a corner waits for its tolerance
+SETTLE = 15.0  # s after a leg's end that the vehicle may take to come to rest at its goal
+FREE_FOR, PATIENCE = 0.5, 20.0  # s that a held leg must be free, or may be blocked
 STOPPED, STOPPED_TURN = 0.005, 0.01  # m/s, rad/s: estimated velocity that counts as standing
 
 
@@ -81,6 +85,11 @@ class Leg:
 class Drive:
     """Follows a route of way-points with a short settle at each and a full stop at the last.
 
+    Attributes:
+        done: nothing is left to drive.
+        failure: why the route was given up, in one line; empty otherwise.
+        events: what is worth telling.
+
     Args:
         limits: of the vehicle.
     """
@@ -89,7 +98,10 @@ class Drive:
         self._limits, self._law = limits, VelocityLaw(limits)
         self._legs: list[Leg] = []
         self._index = 0
-        self.done = True
+        self.done, self.failure = True, ""
+        self.events: list[str] = []
+        self._held = self._blocked = -math.inf  # s, since when, and when last
+        self._command, self._now = np.zeros(3), 0.0
 
     def start(self, now: float, pose: Array, route: Sequence[Sequence[float]]) -> None:
         """Set out from the fused pose along poses (x, y, yaw) in world; the last is the goal."""
@@ -98,7 +110,13 @@ class Drive:
         for a, b in pairwise(poses):
             self._legs.append(Leg(self._limits, a, b, began))
             began = self._legs[-1].ends
-        self._index, self.done = 0, not self._legs
+        self._index, self.done, self.failure = 0, not self._legs, ""
+        self._held = -math.inf
+
+    def give_up(self, why: str) -> None:
+        """Stop here, for good."""
+        self.done, self.failure = True, f"gave up a straight leg: {why}"
+        self.events.append(self.failure)
 
     @property
     def leg(self) -> Leg | None:
@@ -109,23 +127,53 @@ class Drive:
     def last_leg(self) -> bool:
         return self._index == len(self._legs) - 1
 
-    def step(self, now: float, pose: Array, velocity: Array) -> BodyVelocity:
+    def step(self, now: float, pose: Array, velocity: Array, blocked: bool = False) -> BodyVelocity:
         """Command of this tick.
 
         Args:
             now: s.
             pose: fused x, y, yaw in world.
             velocity: fused vx, vy, omega in base; used to tell when the vehicle stands.
+            blocked: something stands on the leg under way.
         """
+        dt, self._now = max(now - self._now, 0.0), now
         if self.done:
             return BodyVelocity()
+        if blocked or self._held > -math.inf:
+            return self._hold(now, pose, velocity, blocked, dt)
         self._next_leg(now, pose, velocity)
         if self.done:
             return BodyVelocity()
         leg = self._legs[self._index]
         reference, _, _ = leg.at(now)
         _, speed, acceleration = leg.at(now + self._limits.dead_time)
-        return self._law.command(pose, reference, speed, acceleration)
+        command = self._law.command(pose, reference, speed, acceleration)
+        self._command = command.as_array()
+        return command
+
+    def resume(self, now: float, pose: Array) -> None:
+        """On with the leg under way from rest here."""
+        self._held = -math.inf
+        if not self.done:
+            goal = self._legs[self._index].goal
+            self._legs[self._index] = Leg(self._limits, pose, goal, now)
+
+    def _hold(self, now, pose, velocity, blocked: bool, dt: float) -> BodyVelocity:
+        """Brake, and stand until the leg has been free for a while."""
+        if self._held == -math.inf:
+            self._held = now
+            self.events.append("straight leg blocked: waiting")
+        self._blocked = now if blocked else self._blocked
+        limits = self._limits
+        most = dt * np.array([limits.acceleration] * 2 + [limits.turn_acceleration])
+        self._command = self._command - np.clip(self._command, -most, most)
+        if _stands(velocity) and not self._command.any():
+            if now - self._held > PATIENCE:
+                x, y, _ = self._legs[self._index].goal
+                self.give_up(f"something stands on the way to ({x:.2f}, {y:.2f})")
+            elif now - self._blocked > FREE_FOR:
+                self.resume(now, pose)
+        return BodyVelocity(*(float(v) for v in self._command))
 
     def _next_leg(self, now: float, pose: Array, velocity: Array) -> None:
         leg = self._legs[self._index]
@@ -134,10 +182,15 @@ class Drive:
         error = pose_error(leg.goal, pose)
         reached = np.hypot(*error[:2]) < TOLERANCE and abs(error[2]) < TOLERANCE_YAW
         if self.last_leg:
-            still = np.hypot(*velocity[:2]) < STOPPED and abs(velocity[2]) < STOPPED_TURN
-            self.done = bool(reached and still)
+            self.done = bool(reached and _stands(velocity))
+            if not self.done and now > leg.ends + SETTLE:
+                self.give_up(f"still {1e3 * np.hypot(*error[:2]):.0f} mm off after {SETTLE:.0f} s")
         elif reached or now >= leg.ends + CORNER_WAIT:
             # From where it is: what is left of the error goes into the next leg.
             self._index += 1
             goal = self._legs[self._index].goal
             self._legs[self._index] = Leg(self._limits, pose, goal, now)
+
+
+def _stands(velocity: Array) -> bool:
+    return bool(np.hypot(*velocity[:2]) < STOPPED and abs(velocity[2]) < STOPPED_TURN)

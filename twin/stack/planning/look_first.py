@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.geometry import Array
 from twin.stack.planning.clearance import Footprint
+from twin.stack.planning.costmap import INSCRIBED
 from twin.stack.planning.surroundings import Surroundings
 from twin.stack.planning.teb_trajectory import Trajectory
 from twin.stack.planning.viewpoint import ViewOptions, viewpoint
@@ -79,7 +80,7 @@ class LookFirst:
             around = self._surroundings
             # Not where a cart goes to and fro: it drives there as it is headed, perhaps backwards,
             # where the lidar is blind.
-            costs = around.costs_off_lanes(now)
+            costs = around.costs_with_lanes(now, INSCRIBED)
             view = viewpoint(costs, around.known, start, point, self._footprint, o.view)
             if view is not None:
                 # First there as it is headed now, then turned: there is room to turn.

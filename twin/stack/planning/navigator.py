@@ -317,10 +317,9 @@ class Navigator:
     def _find_path(self, now: float, start: Array) -> str:
         """Keep the way or find a new one; why there is none, in one line."""
         around, aim = self.surroundings, self._aim
+        costs = around.costs_with_lanes(now)
         if self.look.views:
-            costs = over_known(around.costs_off_lanes(now), around.known, start)
-        else:
-            costs = around.costs_with_lanes(now)
+            costs = over_known(costs, around.known, start)
         blocked, reason = self.route.renew(
             now, start, aim, costs, around.unknown_ok, around.approach(aim)
         )

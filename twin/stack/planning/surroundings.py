@@ -12,7 +12,7 @@ from twin.stack.estimation.obstacle_layer import ObstacleLayer
 from twin.stack.estimation.occupancy_grid import OCCUPIED
 from twin.stack.estimation.site_map import SiteMap
 from twin.stack.planning.clearance import RADIUS, Footprint, no_obstacles, room
-from twin.stack.planning.costmap import INSCRIBED, LETHAL, UNKNOWN, Costmap, inflate
+from twin.stack.planning.costmap import LETHAL, UNKNOWN, Costmap, inflate
 from twin.stack.planning.sight import SightOptions, first_unknown
 from twin.stack.planning.teb_trajectory import Trajectory
 
@@ -118,20 +118,9 @@ class Surroundings:
         """Metres about a goal within which the margin is not asked for: where the vehicle fits."""
         return self.options.approach if self.costs().fits(goal, self._footprint) else 0.0
 
-    def costs_with_lanes(self, now: float) -> Costmap:
-        """Likewise, where what moves is going dearer."""
-        return self._dearer(self.layer.moving.lanes(now), LANE)
-
-    def costs_off_lanes(self, now: float) -> Costmap:
-        """Likewise, closed where what moves is going, and where what was lost from sight went.
-
-        For a vehicle that need not go there: a route that must would rather meet it.
-        """
-        moving = self.layer.moving
-        return self._dearer(moving.lanes(now) + moving.ways_of_lost(now), INSCRIBED)
-
-    def _dearer(self, lanes: list[tuple[Array, Array, float]], cost: int) -> Costmap:
-        costs = self.costs()
+    def costs_with_lanes(self, now: float, cost: int = LANE) -> Costmap:
+        """Likewise, where what moves is going dearer, or closed."""
+        costs, lanes = self.costs(), self.layer.moving.lanes(now)
         if lanes:
             costs = Costmap(costs.cells.copy(), costs.resolution, costs.origin)
             for a, b, half in lanes:
@@ -186,6 +175,14 @@ class Surroundings:
     def about(self, now: float, pose: Array) -> Array:
         """Rows as in `clearance` of what stands and moves about a pose."""
         near = self._solid().obstacles(pose, self.options.about)
+        near = np.vstack([near, self.layer.moving.obstacles(now)])
+        return shrunk(near, pose, self._footprint)
+
+    def strangers(self, now: float, pose: Array) -> Array:
+        """Rows as in `clearance` of what stands near a pose off the map, and what moves."""
+        here, live = self._map, self.layer.live
+        cells = Costmap(np.where(live, np.uint8(LETHAL), np.uint8(0)), here.resolution, here.origin)
+        near = cells.obstacles(pose, self.options.about)
         near = np.vstack([near, self.layer.moving.obstacles(now)])
         return shrunk(near, pose, self._footprint)
 

@@ -46,6 +46,19 @@ def running(root: Behaviour) -> str:
     return " + ".join(leaves) if leaves else root.status.value.lower()
 
 
+def end(root: Behaviour) -> None:
+    """Give the whole tree up."""
+    root.stop(Status.FAILURE)
+
+
+def gave_up(root: Behaviour) -> str:
+    """Name of the leaf with which a tree failed; empty if it did not."""
+    if root.status is not Status.FAILURE:
+        return ""
+    failed = [b.name for b in root.iterate() if not b.children and b.status is Status.FAILURE]
+    return failed[0] if failed else root.name
+
+
 def ended(root: Behaviour) -> bool:
     """Whether the tree has come to its end, well or not."""
     return root.status in (Status.SUCCESS, Status.FAILURE)

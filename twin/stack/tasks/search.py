@@ -11,6 +11,8 @@ from twin.stack.estimation.scans import beam_points, scan_fault
 from twin.stack.estimation.slam import compose_points
 from twin.stack.tasks.relocalise import Relocaliser
 
+LIMIT = 180.0  # s after which a search is given up: the longest of sixty took a quarter of it
+
 
 class Search:
     """Feeds the relocaliser from the readings while the localiser is lost.
@@ -26,6 +28,14 @@ class Search:
         self._lidar_in_base = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
         self._scan: Array = np.zeros((0, 2))
         self._depth: Array | None = None
+        self.active, self._began = False, 0.0
+
+    def failed(self, now: float) -> bool:
+        """Whether it has gone on for too long."""
+        return self.active and now - self._began > LIMIT
+
+    def give_up(self) -> None:
+        """Stop searching."""
         self.active = False
 
     @property
@@ -46,7 +56,7 @@ class Search:
 
     def begin(self, now: float) -> None:
         self._relocaliser.start(now)
-        self.active, self._depth = True, None
+        self.active, self._began, self._depth = True, now, None
 
     def step(self, now: float, localiser: Localiser) -> BodyVelocity:
         """Command of this tick; `active` falls when the place has been found."""

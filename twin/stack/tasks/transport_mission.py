@@ -48,7 +48,7 @@ def transport_mission(stack: "Stack") -> Behaviour:
         stack.straight("to the parcel", goods_in),
         Act("load", job.carried, job.load, job.dropped),
         TagDrive("drive tag to tag", job),
-        Act("dock at rack", lambda: stack.drive.done, job.dock),
+        stack.leg("dock at rack", lambda: (job.rack_stop(),)),
         Act("unload", job.carried, job.unload, job.dropped),
     )
 
@@ -147,10 +147,6 @@ class Transport:
         """Pose of the vehicle at the rack that the code names."""
         rack = next(r for r in self.config.site.racks if r.number == self.rack)
         return rack_stop(rack.pose)
-
-    def dock(self) -> None:
-        """The last centimetres, straight."""
-        self.stack.drive.start(self.stack.now, self.stack.pose, (self.rack_stop(),))
 
     def read_tags(self) -> None:
         """Note the route hints of the tags that were just read and believed."""
