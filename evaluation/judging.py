@@ -1,7 +1,7 @@
-"""Runs a network over labelled pictures, as the stack would look at them."""
+"""Runs networks over labelled pictures, as the stack would look at them."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -10,29 +10,37 @@ from numpy.typing import NDArray
 from evaluation.detection import Judged
 from evaluation.pictures import PictureSet, Shot, region_of, window_of
 from twin.geometry import Array
-from twin.stack.config import StackConfig
-from twin.stack.detection.boxes import read_maps
-from twin.stack.detection.roi import WIDTH
+from twin.stack.config import Camera, StackConfig
+from twin.stack.detection.boxes import Boxes
+from twin.stack.detection.roi import Region
 
-Maps = Callable[[NDArray[np.uint8]], Sequence[NDArray[Any]]]
-FAINT = 0.02  # score from which boxes are kept, for the whole curve of precision over recall
 SEEN = 0.7  # share of a part that must be seen for it to be wanted
 INSIDE = 4.0  # px within the window's edge, where a part is surely wanted
+
+
+class Eyes(Protocol):
+    """Whatever tells parts in a picture, such as `twin.stack.detection.network.Network`."""
+
+    def see(
+        self, image: NDArray[np.uint8], region: Region, camera: Camera, plane_z: float
+    ) -> Boxes:
+        """Boxes in px of the picture, surest first, however unsure."""
+        ...
 
 
 def judge_pictures(
     pictures: PictureSet,
     config: StackConfig,
-    maps: Maps,
+    eyes: Eyes,
     limit: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Judged]:
-    """What the network says of each picture beside what is there, in px of its input.
+    """What is told of each picture beside what is there, in px of its input.
 
     Args:
         pictures: labelled.
         config: the drawing.
-        maps: the network.
+        eyes: that look.
         limit: number of pictures, all without one.
         progress: called with how many are done, and of how many.
     """
@@ -42,7 +50,8 @@ def judge_pictures(
         progress(k, total)
         shot = pictures.shots[k]
         region, window = region_of(shot, config), window_of(shot, config)
-        boxes = read_maps(maps(region.input(pictures.image(k))), WIDTH, FAINT)
+        boxes = eyes.see(pictures.image(k), region, shot.camera, config.site.line.height)
+        boxes = Boxes(region.to_input(boxes.box), boxes.score, boxes.chances)
         polygon = region.points_to_input(window).astype(np.float32)
         boxes = boxes[_depth(boxes.box, polygon) >= 0]
         truth = region.to_input(np.array([x.box for x in shot.labels], float).reshape(-1, 4))

@@ -16,7 +16,8 @@ from evaluation.run import Criterion, RunRequest, RunResult
 from twin.layout import Layout, LayoutError
 from twin.messages import CameraFrame
 from twin.stack.config import nominal_config
-from twin.stack.detection.network import Network, NetworkError
+from twin.stack.detection.card import NetworkError
+from twin.stack.detection.network import Network
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.training.command import DATA, held_out
 

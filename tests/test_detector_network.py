@@ -1,5 +1,6 @@
 """The network's file is refused unless it is the very one of its card; bad pictures are told."""
 
+import hashlib
 import json
 import shutil
 
@@ -9,7 +10,8 @@ import pytest
 from twin.layout import load_layout, models_dir
 from twin.messages import CameraFrame
 from twin.stack.config import nominal_config
-from twin.stack.detection.network import CARD, Network, NetworkError
+from twin.stack.detection.card import CARD, NetworkError
+from twin.stack.detection.network import Network
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.onnx_file import read_facts
 
@@ -31,6 +33,13 @@ def edit_card(folder, **changes) -> None:
     (folder / CARD).write_text(json.dumps(card))
 
 
+def foreign(folder, look, content) -> None:
+    """Other content in a look's file, with the right hash on the card."""
+    entry = json.loads((folder / CARD).read_text())[look]
+    (folder / entry["file"]).write_bytes(content)
+    edit_card(folder, **{look: entry | {"sha256": hashlib.sha256(content).hexdigest()}})
+
+
 def refuse(folder, *words) -> None:
     with pytest.raises(NetworkError) as caught:
         Network(folder)
@@ -39,31 +48,43 @@ def refuse(folder, *words) -> None:
     assert all(w in said for w in words), said
 
 
-def test_the_shipped_network_is_what_its_card_says():
+def test_the_shipped_networks_are_what_their_card_says():
     network = Network()
-    assert (FOLDER / network.card.file).stat().st_size < 3_000_000
+    sizes = [
+        (FOLDER / part.file).stat().st_size for part in (network.card.first, network.card.second)
+    ]
+    assert sum(sizes) < 3_000_000
     assert network.card.parameters <= 500_000
-    shapes = [m.shape for m in network(np.zeros((1, 320, 416, 3), np.uint8))]
+    shapes = [m.shape for m in network.maps(np.zeros((1, 320, 416, 3), np.uint8))]
     assert shapes == [(80, 104, 10), (20, 26, 10), (10, 13, 10)]
-    assert network(np.zeros((1, 416, 416, 3), np.uint8))[0].shape == (104, 104, 10)
+    assert network.maps(np.zeros((1, 416, 416, 3), np.uint8))[0].shape == (104, 104, 10)
+    chances = network.chances(np.zeros((3, 64, 64, 3), np.uint8))
+    assert chances.shape == (3, 6)
+    np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-5)
+    assert network.chances(np.zeros((0, 64, 64, 3), np.uint8)).shape == (0, 6)
 
 
-def test_damaged_file(copy):
-    path = copy / "detector.onnx"
-    content = bytearray(path.read_bytes())
+@pytest.mark.parametrize("name", ["detector.onnx", "second_look.onnx"])
+def test_damaged_file(copy, name):
+    content = bytearray((copy / name).read_bytes())
     content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    refuse(copy, "damaged or foreign")
+    (copy / name).write_bytes(content)
+    refuse(copy, name, "damaged or foreign")
 
 
-def test_truncated_file_whose_hash_is_right(copy):
-    import hashlib
-
-    path = copy / "detector.onnx"
-    content = path.read_bytes()[:5000]
-    path.write_bytes(content)
-    edit_card(copy, sha256=hashlib.sha256(content).hexdigest())
+@pytest.mark.parametrize("look", ["first", "second"])
+def test_truncated_file_whose_hash_is_right(copy, look):
+    name = json.loads((copy / CARD).read_text())[look]["file"]
+    foreign(copy, look, (copy / name).read_bytes()[:5000])
     refuse(copy, "cut off")
+
+
+@pytest.mark.parametrize(
+    "look, other", [("first", "second_look.onnx"), ("second", "detector.onnx")]
+)
+def test_a_network_in_the_other_s_place(copy, look, other):
+    foreign(copy, look, (FOLDER / other).read_bytes())
+    refuse(copy, "shapes")
 
 
 def test_missing_file_and_missing_card(copy):
@@ -83,11 +104,7 @@ def test_wrong_card(copy):
 
 
 def test_file_from_elsewhere(copy):
-    import hashlib
-
-    content = b"GIF89a not a network at all"
-    (copy / "detector.onnx").write_bytes(content)
-    edit_card(copy, sha256=hashlib.sha256(content).hexdigest())
+    foreign(copy, "first", b"GIF89a not a network at all")
     with pytest.raises(NetworkError):
         Network(copy)
 

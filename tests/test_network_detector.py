@@ -10,9 +10,9 @@ from twin.layout import load_layout
 from twin.messages import PART_CLASSES
 from twin.stack.config import nominal_config
 from twin.stack.detection.box_outline import FACTOR, look_into
+from twin.stack.detection.boxes import Boxes
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.pose_fit import PoseFitter
-from twin.stack.detection.roi import HEIGHT, WIDTH, Region
 from twin.stack.detection.silhouette import projection
 
 layout = load_layout()
@@ -31,32 +31,23 @@ def box_of(part_class, x, y, yaw):
 
 
 class AllKnowing:
-    """Maps in which one cell of the finest map speaks for each label."""
+    """Eyes that see each label where it is."""
 
     card = SimpleNamespace(threshold=0.5)
 
-    def __init__(self, labels, polygon, doubt=0.0):
-        region = Region.around(polygon, (480, 640))
-        self._maps = [np.full((HEIGHT // s, WIDTH // s, 10), -20.0) for s in (4, 16, 32)]
-        for part_class, *pose in labels:
-            box = region.to_input(box_of(part_class, *pose)[None])[0]
-            cx, cy = (box[:2] + box[2:]) / 2
-            u, v = int(cx // 4), int(cy // 4)
-            if 0 <= v < HEIGHT // 4 and 0 <= u < WIDTH // 4:
-                cell = self._maps[0][v, u]
-                cell[:2] = cx / 4 - u - 0.5, cy / 4 - v - 0.5
-                cell[2:4] = np.log((box[2:] - box[:2]) / 4)
-                cell[4] = 6.0 - doubt
-                cell[5 + PART_CLASSES.index(part_class)] = 0.0
+    def __init__(self, labels, doubt=0.0):
+        self._boxes = Boxes(
+            np.array([box_of(c, *pose) for c, *pose in labels]).reshape(-1, 4),
+            np.full(len(labels), 0.99 - doubt),
+            np.array([np.eye(len(PART_CLASSES))[PART_CLASSES.index(c)] for c, *_ in labels]),
+        )
 
-    def __call__(self, image):
-        return self._maps
+    def see(self, image, region, camera, plane_z):
+        return self._boxes
 
 
 def detect(frame, pose, labels, doubt=0.0):
-    polygon = NetworkDetector(config, AllKnowing([], np.zeros((1, 2)))).window(pose)
-    detector = NetworkDetector(config, AllKnowing(labels, polygon, doubt))
-    return detector.detect(frame, pose)
+    return NetworkDetector(config, AllKnowing(labels, doubt)).detect(frame, pose)
 
 
 def test_poses_on_stored_pictures():
@@ -75,7 +66,7 @@ def test_poses_on_stored_pictures():
 def test_unsure_means_look_again():
     frame, pose, labels = load()[0]
     assert detect(frame, pose, labels)
-    assert detect(frame, pose, labels, doubt=7.0) == ()
+    assert detect(frame, pose, labels, doubt=0.6) == ()
 
 
 def test_a_box_on_bare_belt_is_no_part():

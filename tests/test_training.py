@@ -14,9 +14,11 @@ from twin.layout import load_layout  # noqa: E402
 from twin.stack.config import nominal_config  # noqa: E402
 from twin.stack.detection.boxes import read_maps  # noqa: E402
 from twin.training import loss as losses  # noqa: E402
+from twin.training.loop import Plan, load_weights, save_weights  # noqa: E402
 from twin.training.loss import Target, assign, ciou, decode, encode, loss  # noqa: E402
 from twin.training.network import Design, Detector, parameters  # noqa: E402
-from twin.training.train import Plan, load_weights, save_weights, train  # noqa: E402
+from twin.training.second_look import NOTHING, SecondLook, train_second_look  # noqa: E402
+from twin.training.train import train  # noqa: E402
 
 layout = load_layout()
 config = nominal_config(layout.site, layout.options)
@@ -134,7 +136,7 @@ def test_a_short_training_lowers_the_loss_and_resumes(tmp_path, monkeypatch):
         "make_set(Path(sys.argv[1]), load_layout(), TRAINING, 0, 20)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "set")], check=True)
-    from twin.training import train as module
+    from twin.training import loop as module
 
     monkeypatch.setattr(module, "SAVE_EVERY", 20)
     plan = Plan(steps=60, batch=8)
@@ -157,3 +159,25 @@ def test_a_short_training_lowers_the_loss_and_resumes(tmp_path, monkeypatch):
 
 def test_levels_leave_no_gap():
     assert list(losses.LEVEL_SIZE) == [4, 16, 32]
+
+
+def test_second_look_learns_and_resumes(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from twin.layout import load_layout\n"
+        "from twin.training.dataset import make_set; from twin.training.domain import TRAINING\n"
+        "make_set(Path(sys.argv[1]), load_layout(), TRAINING, 0, 20)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "set")], check=True)
+    first = Detector()
+    folder = tmp_path / "second"
+    for steps in (20, 40):
+        network = train_second_look(folder, tmp_path / "set", config, first, steps, seed=0)
+    log = [json.loads(x) for x in (folder / "log.jsonl").read_text().splitlines()]
+    totals = [e["total"] for e in log if "total" in e]
+    assert len(totals) == 2 and totals[1] < totals[0]
+    assert len(log[-1]["accuracy"]) == NOTHING
+    with pytest.raises(ValueError, match="another network"):
+        save_weights(first, tmp_path / "w.npz")
+        load_weights(network, tmp_path / "w.npz")
+    assert network(torch.zeros(2, 3, 64, 64)).shape == (2, NOTHING + 1)
+    assert parameters(SecondLook()) + parameters(first) <= 500_000

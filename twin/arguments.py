@@ -54,11 +54,13 @@ class TrainDetector:
     pictures: int = 4000
     """To draw; seven of ten are trained on."""
     steps: int = 6000
-    """Of training, 32 crops each."""
+    """Of training the first look, 32 crops each."""
+    look_steps: int = 4000
+    """Of training the second look, 96 patches each."""
     ablation_steps: int = 0
     """Of each shorter training without one of the improvements; 0 leaves them out."""
     weights: Path | None = None
-    """Weights (npz) to begin with, such as models/detector/weights.npz."""
+    """Folder of weights (npz) to begin with, such as models/detector."""
 
 
 Command = (

@@ -67,10 +67,13 @@ def main() -> None:
     for engine, spent in engines(network, pictures, config).items():
         print(f"  {engine:12s} {1e3 * spent:6.1f}")
     print("\n                    parameters M   GFLOPs   input")
-    card = network.card
-    print(
-        f"this network        {card.parameters / 1e6:10.2f} {2 * card.mmac / 1e3:10.3f}   416 x 416"
-    )
+    first, second = network.card.first, network.card.second
+    for name, part, at in (
+        ("first look", first, "416 x 416"),
+        ("second, a patch", second, "64 x 64"),
+    ):
+        size, work = part.parameters / 1e6, 2 * part.mmac / 1e3
+        print(f"{name:19s} {size:10.2f} {work:10.3f}   {at}")
     for name, size, work, at in PUBLISHED:
         print(f"{name:19s} {size:10.2f} {work:10.3f}   {at}")
 
@@ -115,10 +118,10 @@ def truths_of(shot: Shot) -> list[tuple[str, np.ndarray, bool]]:
 def engines(network: Network, pictures: PictureSet, config: StackConfig) -> dict[str, float]:
     """Median time of the network alone, s, by what runs it."""
     image = region_of(pictures.shots[0], config).input(pictures.image(0))
-    calls: dict[str, Callable[[], object]] = {"onnxruntime": lambda: network(image)}
+    calls: dict[str, Callable[[], object]] = {"onnxruntime": lambda: network.maps(image)}
     out: dict[str, float] = {}
     try:
-        other = cv2.dnn.readNetFromONNX(str(models_dir() / "detector" / network.card.file))
+        other = cv2.dnn.readNetFromONNX(str(models_dir() / "detector" / network.card.first.file))
         other.setInput(image)
         other.forward(other.getUnconnectedOutLayersNames())
         calls["cv2.dnn"] = lambda: (

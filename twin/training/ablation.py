@@ -8,8 +8,9 @@ from evaluation.detection import average_precision, count, map50_95
 from evaluation.judging import judge_pictures
 from evaluation.pictures import PictureSet
 from twin.stack.config import StackConfig
-from twin.training.network import Design, parameters, torch_maps
-from twin.training.train import SURE, Plan, train
+from twin.training.loop import Plan
+from twin.training.network import Design, OneLook, parameters
+from twin.training.train import SURE, train
 
 DESIGNS: dict[str, Design] = {
     "all": Design(),
@@ -49,7 +50,7 @@ def ablate(
             plan,
             progress=lambda k, n, text, name=name: progress(k, n, f"{name}: {text}"),
         )
-        judged = judge_pictures(PictureSet(data, "e"), config, torch_maps(network))
+        judged = judge_pictures(PictureSet(data, "e"), config, OneLook(network))
         counts = count(judged, SURE)
         lines[name] = {
             "steps": plan.steps,

@@ -59,7 +59,7 @@ class Augmenter:
                     tile, some = self._crop(rng, half)
                     image[v : v + half, u : u + half] = tile
                     found += [(np.add(box, (u, v, u, v)), c, seen) for box, c, seen in some]
-        image = _lit(image, self._bank, rng)
+        image = lit(image, self._bank, rng)
         if rng.random() < 0.3:
             found = _cover(image, found, rng)
         sure = [(box, c) for box, c, seen in found if seen >= SEEN]
@@ -123,25 +123,25 @@ def _clip(hull: Array, size: int) -> tuple[float, Array]:
     return area / whole, np.asarray(inside, float).reshape(-1, 2)
 
 
-def _lit(
+def lit(
     image: NDArray[np.uint8], bank: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Brightness, contrast, colour and Gaussian noise from a bank of standard normals."""
     factor = np.exp(rng.normal(0, 0.18)) * np.exp(rng.normal(0, 0.06, 3))
     table = np.arange(256.0)[None, :, None] * factor + rng.normal(0, 6)
-    lit = cv2.LUT(image, np.clip(table, 0, 255).astype(np.uint8))
+    out = cv2.LUT(image, np.clip(table, 0, 255).astype(np.uint8))
     if rng.random() < 0.5:
         start = rng.integers(len(bank) - image.size)
         noise = bank[start : start + image.size].reshape(image.shape) * np.float32(
             rng.uniform(0, 6)
         )
-        lit = cv2.add(lit, noise, dtype=cv2.CV_8U)
+        out = cv2.add(out, noise, dtype=cv2.CV_8U)
     kind = rng.random()
     if kind < 0.12:
-        lit = cv2.GaussianBlur(lit, (0, 0), rng.uniform(0.4, 1.0))
+        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.0))
     elif kind < 0.45:
-        lit = cv2.filter2D(lit, -1, _smear(rng.uniform(0.5, SMEAR), rng.uniform(0, np.pi)))
-    return np.asarray(lit, np.uint8)
+        out = cv2.filter2D(out, -1, _smear(rng.uniform(0.5, SMEAR), rng.uniform(0, np.pi)))
+    return np.asarray(out, np.uint8)
 
 
 def _smear(length: float, angle: float) -> Array:

@@ -16,6 +16,7 @@ from twin.training.domain import HELD_OUT, TRAINING
 
 DATA = Path("runs/detector")  # training/ and held-out/ are made in here, and the rest
 HELD_OUT_PICTURES, HELD_OUT_SEED = 1000, 1
+WEIGHTS, SECOND = "weights.npz", "second_look.npz"
 Progress = Callable[[float, float, str], None]
 
 
@@ -54,18 +55,29 @@ def train_detector(asked: TrainDetector, layout: Layout, progress: Progress) -> 
     judged_on = PictureSet(place).digest()
     from twin.training.ablation import ablate
     from twin.training.export import export, fix_threshold
+    from twin.training.loop import Plan, save_weights
     from twin.training.network import Design
-    from twin.training.train import Plan, save_weights, train
+    from twin.training.second_look import train_second_look
+    from twin.training.train import train
 
     plan = Plan(asked.steps, seed=asked.seed)
+    start, again = (
+        asked.weights and asked.weights / WEIGHTS,
+        asked.weights and asked.weights / SECOND,
+    )
     try:
-        trained = train(folder / "run", data, config, Design(), plan, asked.weights, progress)
+        first = train(folder / "run", data, config, Design(), plan, start, progress)
+        second = train_second_look(
+            folder / "second", data, config, first, asked.look_steps, asked.seed, again,
+            lambda k, n, text: progress(k, n, f"second look: {text}"),
+        )  # fmt: skip
     except (ValueError, OSError) as error:
         raise InputError(f"train-detector: {error}") from None
     about = {
         "seed": asked.seed,
         "steps": plan.steps,
         "batch": plan.batch,
+        "look_steps": asked.look_steps,
         "pictures": len(PictureSet(data, "t")),
         "pictures_sha256": PictureSet(data).digest(),
         "held_out_sha256": judged_on,
@@ -73,9 +85,10 @@ def train_detector(asked: TrainDetector, layout: Layout, progress: Progress) -> 
     if asked.ablation_steps:
         short = Plan(asked.ablation_steps, seed=asked.seed)
         about["ablation"] = ablate(folder / "ablation", data, config, short, progress)
-    export(trained, network, about)
+    export(first, second, network, about)
     fix_threshold(network, data, config)
-    save_weights(trained, network / "weights.npz")
+    save_weights(first, network / WEIGHTS)
+    save_weights(second, network / SECOND)
     shutil.copy(folder / "run" / "log.jsonl", network / "log.jsonl")
     return network
 
@@ -87,7 +100,13 @@ def apart(work: Callable[..., None], *arguments) -> None:
 
 
 def _check(asked: TrainDetector) -> None:
-    for name, least in (("pictures", 1), ("steps", 1), ("seed", 0), ("ablation_steps", 0)):
+    for name, least in (
+        ("pictures", 1),
+        ("steps", 1),
+        ("look_steps", 1),
+        ("seed", 0),
+        ("ablation_steps", 0),
+    ):
         value = getattr(asked, name)
         if value < least:
             raise InputError(f"--{name.replace('_', '-')} {value}: must be {least} or greater")

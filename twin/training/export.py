@@ -14,52 +14,54 @@ from evaluation.judging import judge_pictures
 from evaluation.pictures import PictureSet
 from twin.messages import PART_CLASSES
 from twin.stack.config import StackConfig
-from twin.stack.detection.network import CARD, Network
+from twin.stack.detection.card import CARD
+from twin.stack.detection.network import Network
 from twin.stack.detection.roi import HEIGHT, WIDTH
+from twin.stack.detection.second_look import SIDE
 from twin.training.network import Detector, Exportable, multiplications, parameters
+from twin.training.second_look import ExportableLook, SecondLook
 
 OPSET = 18
-FILE = "detector.onnx"
+FIRST, SECOND = "detector.onnx", "second_look.onnx"
 VALIDATED = 400  # pictures of the validation part on which the threshold is fixed
 THRESHOLDS = tuple(round(0.15 + 0.05 * k, 2) for k in range(16))  # tried on the validation part
 
 
-def export(network: Detector, folder: Path, about: dict) -> None:
-    """Write detector.onnx and its card, whose threshold is still to be fixed.
+def export(first: Detector, second: SecondLook, folder: Path, about: dict) -> None:
+    """Write both networks and their card, whose threshold is still to be fixed.
 
     Args:
-        network: with the weights to ship.
-        folder: that receives both.
-        about: how it was trained, for the card.
+        first: with the weights to ship.
+        second: with the weights to ship.
+        folder: that receives all.
+        about: how they were trained, for the card.
     """
     folder.mkdir(parents=True, exist_ok=True)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    rows, columns = (32 * torch.export.Dim(name, min=1, max=64) for name in ("rows", "columns"))
-    torch.onnx.export(
-        Exportable(network.eval()).eval(),
-        (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8),),
-        str(folder / FILE),
-        input_names=["image"],
-        output_names=[f"map_{stride}" for stride in network.strides],
-        opset_version=OPSET,
-        dynamo=True,
-        external_data=False,
-        dynamic_shapes={"image": {1: rows, 2: columns}},
-        verbose=False,
-    )
-    _strip(folder / FILE)
+    dim = torch.export.Dim
+    sides = {1: 32 * dim("rows", min=1, max=64), 2: 32 * dim("columns", min=1, max=64)}
+    picture = torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8)
+    names = [f"map_{stride}" for stride in first.strides]
+    _write(Exportable(first.eval()), picture, folder / FIRST, "image", names, sides)
+    some = torch.zeros(2, SIDE, SIDE, 3, dtype=torch.uint8)
+    count = {0: dim("count", min=1, max=300)}
+    _write(ExportableLook(second.eval()), some, folder / SECOND, "patches", ["chances"], count)
     write_card(
         folder,
         {
-            "file": FILE,
-            "sha256": hashlib.sha256((folder / FILE).read_bytes()).hexdigest(),
+            "first": {
+                **_said_of(folder / FIRST, first),
+                "mmac": round(multiplications(first, WIDTH, WIDTH) / 1e6, 1),
+                "mmac_416x320": round(multiplications(first, HEIGHT, WIDTH) / 1e6, 1),
+                "design": asdict(first.design),
+            },
+            "second": {
+                **_said_of(folder / SECOND, second),
+                "mmac": round(multiplications(second, SIDE, SIDE) / 1e6, 2),
+            },
             "opset": OPSET,
             "classes": list(PART_CLASSES),
             "threshold": 0.5,
-            "parameters": parameters(network),
-            "mmac_416x320": round(multiplications(network, HEIGHT, WIDTH) / 1e6, 1),
-            "mmac_416x416": round(multiplications(network, WIDTH, WIDTH) / 1e6, 1),
-            "design": asdict(network.design),
             "training": about,
         },
     )
@@ -90,6 +92,27 @@ def write_card(folder: Path, card: dict) -> None:
     """The machine's part of the model card."""
     text = json.dumps(card, indent=2)
     (folder / CARD).write_text(text + "\n", encoding="utf-8")
+
+
+def _write(model, example, path: Path, name: str, outputs: list[str], free: dict) -> None:
+    torch.onnx.export(
+        model.eval(),
+        (example,),
+        str(path),
+        input_names=[name],
+        output_names=outputs,
+        opset_version=OPSET,
+        dynamo=True,
+        external_data=False,
+        dynamic_shapes={name: free},
+        verbose=False,
+    )
+    _strip(path)
+
+
+def _said_of(path: Path, network: torch.nn.Module) -> dict:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return {"file": path.name, "sha256": digest, "parameters": parameters(network)}
 
 
 def _strip(path: Path) -> None:

@@ -6,7 +6,6 @@ fed back, and attention that weighs the features by their surroundings, to tell 
 apart. Fully convolutional and local throughout: trained on crops, used on whole pictures.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +14,16 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from twin.messages import PART_CLASSES
+from twin.stack.config import Camera
+from twin.stack.detection.boxes import Boxes, read_maps
+from twin.stack.detection.roi import WIDTH, Region
 
 OUTPUTS = 5 + len(PART_CLASSES)  # box, object, classes
 NECK = 40  # channels of the maps that the heads look at
 WIDTHS = (12, 20, 32, 64, 112)  # channels at 1/2, 1/4, 1/8, 1/16, 1/32
 DEPTHS = (2, 4, 3, 2)  # residual blocks after each step down from 1/4 on
 EMPTY = -4.0  # first bias of "object": next to all cells are empty
+FAINT = 0.02  # score from which boxes are kept, for the whole curve of precision over recall
 
 
 @dataclass(frozen=True)
@@ -43,11 +46,11 @@ class Detector(nn.Module):
         super().__init__()
         self.design = design or Design()
         w = WIDTHS
-        self.stem = _conv(3, w[0], 3, 2)
+        self.stem = conv(3, w[0], 3, 2)
         self.stages = nn.ModuleList(
             nn.Sequential(
-                _Block(w[i], w[i + 1], 2 if i == 0 else 3, 2),
-                *[_Block(w[i + 1], w[i + 1], 3, 1) for _ in range(DEPTHS[i])],
+                Block(w[i], w[i + 1], 2 if i == 0 else 3, 2),
+                *[Block(w[i + 1], w[i + 1], 3, 1) for _ in range(DEPTHS[i])],
             )
             for i in range(4)
         )
@@ -111,27 +114,36 @@ class Exportable(nn.Module):
         return tuple(y[0].permute(1, 2, 0) for y in self.detector(x))
 
 
-def torch_maps(network: Detector) -> Callable[[NDArray[np.uint8]], list[NDArray[np.float32]]]:
-    """The network itself as the stack would run it, for use while it is trained."""
-    model = Exportable(network)
+class OneLook:
+    """The network itself as the stack would run it, without the second look; while it is trained.
+
+    Args:
+        network: that looks.
+    """
+
+    def __init__(self, network: Detector):
+        self._network, self._model = network, Exportable(network)
 
     @torch.no_grad()
-    def run(image: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-        network.eval()
-        return [m.numpy() for m in model(torch.from_numpy(image))]
+    def see(
+        self, image: NDArray[np.uint8], region: Region, camera: Camera, plane_z: float
+    ) -> Boxes:
+        """As `twin.stack.detection.network.Network.see`."""
+        self._network.eval()
+        maps = [m.numpy() for m in self._model(torch.from_numpy(region.input(image)))]
+        boxes = read_maps(maps, WIDTH, FAINT)
+        return Boxes(region.to_image(boxes.box), boxes.score, boxes.chances)
 
-    return run
 
-
-class _Block(nn.Module):
+class Block(nn.Module):
     """Inverted residual: widen, look around, narrow. It begins as the identity (He et al. 2019)."""
 
     def __init__(self, inside: int, outside: int, expansion: int, stride: int):
         super().__init__()
         wide = inside * expansion
         self.body = nn.Sequential(
-            _conv(inside, wide, 1),
-            _conv(wide, wide, 3, stride, groups=wide),
+            conv(inside, wide, 1),
+            conv(wide, wide, 3, stride, groups=wide),
             nn.Conv2d(wide, outside, 1, bias=False),
             nn.BatchNorm2d(outside),
         )
@@ -165,7 +177,7 @@ class _Attention(nn.Module):
         return x * self.gate(x) * 2.0
 
 
-def _conv(inside: int, outside: int, size: int, stride: int = 1, groups: int = 1) -> nn.Module:
+def conv(inside: int, outside: int, size: int, stride: int = 1, groups: int = 1) -> nn.Module:
     return nn.Sequential(
         nn.Conv2d(inside, outside, size, stride, size // 2, groups=groups, bias=False),
         nn.BatchNorm2d(outside),
@@ -175,7 +187,7 @@ def _conv(inside: int, outside: int, size: int, stride: int = 1, groups: int = 1
 
 def _separable(channels: int, size: int) -> nn.Module:
     return nn.Sequential(
-        _conv(channels, channels, size, groups=channels), _conv(channels, channels, 1)
+        conv(channels, channels, size, groups=channels), conv(channels, channels, 1)
     )
 
 
@@ -184,7 +196,7 @@ def parameters(network: nn.Module) -> int:
     return sum(p.numel() for p in network.parameters())
 
 
-def multiplications(network: Detector, height: int, width: int) -> int:
+def multiplications(network: nn.Module, height: int, width: int) -> int:
     """Multiply-accumulates of all convolutions for one picture."""
     total = 0
 

@@ -1,6 +1,6 @@
-"""Connectors on the belt by the trained network, behind the same message as `contour`.
+"""Connectors on the belt by the trained networks, behind the same message as `contour`.
 
-The network says what lies where; the drawing of that one class, laid over what is seen inside the
+The networks say what lies where; the drawing of that one class, laid over what is seen inside the
 box, says how it lies (Li & An 2025, section 3.1). A part of which either is unsure is not told
 of: the next picture, 50 ms later, is a second look.
 """
@@ -11,11 +11,11 @@ from twin.geometry import Array
 from twin.messages import PART_CLASSES, CameraFrame, Detection
 from twin.stack.config import StackConfig
 from twin.stack.detection.box_outline import FACTOR, look_into
-from twin.stack.detection.boxes import Boxes, read_maps
+from twin.stack.detection.boxes import Boxes
 from twin.stack.detection.frames import fault_of
 from twin.stack.detection.network import Network
 from twin.stack.detection.pose_fit import PoseFitter
-from twin.stack.detection.roi import WIDTH, Region
+from twin.stack.detection.roi import Region
 from twin.stack.detection.silhouette import projection
 from twin.stack.detection.window import belt_window
 
@@ -35,6 +35,7 @@ class NetworkDetector:
 
     def __init__(self, config: StackConfig, network: Network | None = None):
         self._line = config.site.line
+        self._camera = config.camera
         self._P = projection(config.camera)
         self._size = (config.camera.height, config.camera.width)
         self._network = network or Network()
@@ -64,12 +65,10 @@ class NetworkDetector:
         return belt_window(self._line, pose, self._P, self._size)
 
     def look(self, frame: CameraFrame, polygon: Array) -> Boxes:
-        """What the network is sure of inside a polygon of the picture; boxes in its px."""
+        """What the networks are sure of inside a polygon of the picture; boxes in its px."""
         region = Region.around(polygon, self._size)
-        boxes = read_maps(
-            self._network(region.input(frame.image)), WIDTH, self._network.card.threshold
-        )
-        return Boxes(region.to_image(boxes.box), boxes.score, boxes.chances)
+        boxes = self._network.see(frame.image, region, self._camera, self._line.height)
+        return boxes[boxes.score >= self._network.card.threshold]
 
     def _measure(self, frame, boxes: Boxes, k: int, polygon: Array) -> Detection | None:
         """Outline and pose of one box."""
