@@ -17,7 +17,7 @@ def main() -> None:
     plant = Plant(layout, 0, DriveOrder(0.0, ()))
     stack = Stack(nominal_config(layout.site, layout.options))
     plant.park([worker.motion.rest for worker in stack.arms])
-    picture = snapshot(plant.world, (-2.2, -5.0, 6.6), (6.4, 2.2, 0.0), 1280, 640)
+    picture = snapshot(plant.world, (-1.5, -8.6, 10.2), (6.9, 2.0, 0.0), 1280, 640)
     cv2.imwrite(str(Path(__file__).parent / "plant.png"), picture[..., ::-1])
     plant.close()
 

@@ -53,11 +53,6 @@ class Simulation:
         except NetworkError as error:
             self.plant.close()
             raise LayoutError(f"options.detector: {error}") from None
-        except ValueError as error:
-            self.plant.close()
-            if self.config.options.map is None:
-                raise
-            raise LayoutError(f"options.map: {error}") from None
         self.plant.park([w.motion.rest for w in self.stack.arms])
         self.paths = TrajectoryMonitor()
         self._page: Callable[[str], None] | None = None

@@ -152,9 +152,13 @@ def test_map_file_there_and_back(tmp_path):
     assert read.likelihood_field(1.0).distances.shape == (30, 40)
 
 
-@pytest.mark.parametrize("broken", ["truncated", "larger", "missing", "nothing free"])
+@pytest.mark.parametrize(
+    "broken", ["truncated", "larger", "missing", "nothing free", "no room", "nothing there"]
+)
 def test_a_broken_map_file_is_refused_in_one_line(tmp_path, broken):
     log_odds = np.full((30, 40), 3.0 if broken == "nothing free" else -3.0, dtype=np.float32)
+    if broken == "no room":
+        log_odds[::8] = log_odds[:, ::8] = 3.0
     save_map(OccupancyGrid(np.array([-1.0, 2.0]), 0.05, log_odds), tmp_path / "m.yaml")
     pgm = tmp_path / "m.pgm"
     if broken == "truncated":

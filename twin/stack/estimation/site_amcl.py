@@ -7,12 +7,11 @@ import numpy as np
 from twin.stack.config import StackConfig
 from twin.stack.estimation.amcl import Amcl, AmclSettings, MotionModel
 from twin.stack.estimation.motion_models import omnidirectional, turn_path_turn
-from twin.stack.estimation.site_map import floor_map, lidar_map, load_site_map
+from twin.stack.estimation.site_map import ROOM, floor_map, lidar_map, load_site_map
 
 RANGE_MAX = 30.0  # m, of the lidar: maker's specification
 RESOLUTION = 0.025  # m, cells of the drawn map
 MAX_DISTANCE = 0.5  # m: farther from the map a beam's end is anywhere; ten sigma of a beam
-ROOM = 0.25  # m from the vehicle's centre to what it would touch: half its width
 MOTION: dict[str, MotionModel] = {"omni": omnidirectional, "turn_path_turn": turn_path_turn}
 
 

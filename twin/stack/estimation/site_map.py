@@ -21,6 +21,7 @@ from twin.stack.estimation.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 RESOLUTION = 0.05  # m, edge of a cell
 MARGIN = 0.5  # m about the hall: a scan's end points may fall behind a wall
 WALL = 0.05  # m of the outer walls that are drawn
+ROOM = 0.25  # m from the vehicle's centre to what it would touch: half its width
 FINEST, COARSEST = 0.01, 0.20  # m: cells of a map that the vehicle can drive by
 MOST_OVER = 2.0  # m by which a map may reach beyond the hall
 TOUCH = 1e-6  # m by which a box must reach into a cell to fill it
@@ -99,8 +100,8 @@ def load_site_map(path: Path | str, site: Any) -> SiteMap:
         site: the drawing `twin.site.Site`, whose hall the map must be of.
 
     Raises:
-        ValueError: one line, for a file that is missing, truncated, malformed, without a free cell,
-            or of another hall.
+        ValueError: one line, for a file that is missing, truncated, malformed, without room for the
+            vehicle or anything that stands there, or of another hall.
     """
     grid = load_map(Path(path))
     states = grid.states()
@@ -118,7 +119,12 @@ def load_site_map(path: Path | str, site: Any) -> SiteMap:
                 f"map {path}: of another hall: {axis} from {first:.2f} to {last:.2f} m,"
                 f" drawn is {start:.2f} to {end:.2f} m"
             )
-    return SiteMap(states, grid.resolution, grid.origin)
+    read = SiteMap(states, grid.resolution, grid.origin)
+    if not read.occupied.any():
+        raise ValueError(f"map {path}: nothing stands in it")
+    if not read.room(ROOM).any():
+        raise ValueError(f"map {path}: no place with {ROOM} m of room for the vehicle")
+    return read
 
 
 def _hall(site: Any) -> Box:
