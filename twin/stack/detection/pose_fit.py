@@ -21,7 +21,7 @@ STARTS = 3  # best of them that are refined
 STEPS = (1.5e-3, 1.5e-3, np.radians(6.0))  # m, m, rad: first step of the search, halved
 HALVINGS = 5  # down to 0.05 mm and 0.2 degrees
 BOX_SIGMA = 1.5  # px, of a side of the network's box
-BOX_WEIGHT = 0.25  # of the sides, in evidence a px of outline
+BOX_WEIGHT = 0.15  # of the sides, in evidence a px of outline
 
 
 @dataclass(frozen=True)
