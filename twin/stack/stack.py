@@ -229,7 +229,8 @@ class Stack:
         leg, around = self.drive.leg, self.navigator.surroundings
         if leg is None:
             return False
-        strangers = around.strangers(self.now, self.pose)
+        calibrated = self.mapper is None or self.mapper.calibration is not None
+        strangers = around.strangers(self.now, self.pose, by_camera=calibrated)
         return leg_blocked(
             self.pose, leg.goal, self.localiser.velocity, strangers, self.navigator.footprint,
             self.config.drive,

@@ -243,6 +243,11 @@ class ObstacleLayer:
         """Cells that hold something which the map does not show. Shape (h, w)."""
         return (self.lidar.occupied | self.depth.occupied) & self._off_map
 
+    @property
+    def live_by_lidar(self) -> NDArray[np.bool_]:
+        """Those of them that the lidar sees. Shape (h, w)."""
+        return self.lidar.occupied & self._off_map
+
     def states(self) -> NDArray[np.int8]:
         """The map with the live obstacles: 100 occupied, 0 free, -1 unknown. Shape (h, w)."""
         out = self._drawn.copy()

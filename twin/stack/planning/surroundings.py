@@ -178,9 +178,16 @@ class Surroundings:
         near = np.vstack([near, self.layer.moving.obstacles(now)])
         return shrunk(near, pose, self._footprint)
 
-    def strangers(self, now: float, pose: Array) -> Array:
-        """Rows as in `clearance` of what stands near a pose off the map, and what moves."""
-        here, live = self._map, self.layer.live
+    def strangers(self, now: float, pose: Array, by_camera: bool) -> Array:
+        """Rows as in `clearance` of what stands near a pose off the map, and what moves.
+
+        Args:
+            now: s.
+            pose: x, y, yaw in world.
+            by_camera: whether what the depth camera alone sees counts.
+        """
+        here = self._map
+        live = self.layer.live if by_camera else self.layer.live_by_lidar
         cells = Costmap(np.where(live, np.uint8(LETHAL), np.uint8(0)), here.resolution, here.origin)
         near = cells.obstacles(pose, self.options.about)
         near = np.vstack([near, self.layer.moving.obstacles(now)])
