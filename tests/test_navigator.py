@@ -125,3 +125,17 @@ def test_a_pose_that_is_not_finite_stops_the_vehicle_and_the_next_good_one_goes_
     while bench.navigator.active and bench.now < end:
         bench.tick()
     assert bench.navigator.outcome == "reached"
+
+
+def test_carried_off_under_way_it_stops_and_plans_anew():
+    """A tag tells at once that the vehicle stands in the next aisle: it does not drive back."""
+    bench = NavBench(AISLE)
+    bench.navigator.go(0.0, goal())
+    for _ in range(120):
+        bench.tick()
+    carried = bench.pose + np.array([0.0, 2.1, 0.0])
+    assert bench.navigator.follower.trajectory is not None
+    for k in range(50):
+        command = bench.navigator.step(bench.now + 0.01 * k, carried, REST)
+        assert not command.as_array().any()
+    assert bench.navigator.active

@@ -36,6 +36,8 @@ class NavigatorOptions:
     """Not tuned, but where a reason is given."""
 
     band_period: float = 0.2  # s between bands
+    jump: float = 0.5  # m between two ticks: no vehicle drives that
+    stand: float = 1.0  # s to come to rest after the believed pose has jumped
     retry: float = 0.4  # s between tries of a vehicle that stands without a plan
     reserve: float = 0.15  # share of the limits that bands leave to the follower's feedback
     squeeze: float = 0.03  # m of room for a vehicle that stands and finds no wider way
@@ -152,8 +154,13 @@ class Navigator:
         """
         if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(velocity))):
             return BodyVelocity()
+        last, self._pose = self._pose, np.array(pose, dtype=float)
         if not self.active:
             return BodyVelocity()
+        jump = 0.0 if last is None else float(np.hypot(*(pose[:2] - last[:2])))
+        if jump > self.options.jump:  # carried off, and a tag said so: the way starts elsewhere
+            self.restart(jump)
+            self._due = now + self.options.stand
         if self._giving_up:
             if np.abs(velocity).max() < self.options.still:
                 self._end(self._giving_up)
@@ -403,6 +410,7 @@ class Navigator:
         self.events.append(line)
 
     def _reset(self) -> None:
+        self._pose: Array | None = None  # at the last step
         self.route = Route()
         self._due = -math.inf
         self._brake = self._in_the_way = self._ends_at_aim = self._recovered = False
