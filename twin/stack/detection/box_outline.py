@@ -14,9 +14,8 @@ from twin.geometry import Array
 
 MARGIN = 8  # px about the box: enough of the belt to know its colour
 ROOM = 3.0  # px about the box in which the part may still be
-BLUR = (
-    0.3  # px, 1 sigma; with LEVEL and the fit's BOX_WEIGHT the best of a dozen tried (model card)
-)
+# px, 1 sigma; with LEVEL and the fit's BOX_WEIGHT the best of a dozen tried (model card)
+BLUR = 0.3
 CLOSING = 5  # px: bridges threads
 NEAR = np.ones((3, 3), np.uint8)
 LEVEL = 0.52  # of the contrast one pixel about: the edge of a blurred step (see `contour`)

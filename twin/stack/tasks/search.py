@@ -11,7 +11,7 @@ from twin.stack.estimation.scans import beam_points, scan_fault
 from twin.stack.estimation.slam import compose_points
 from twin.stack.tasks.relocalise import Relocaliser
 
-LIMIT = 180.0  # s after which a search is given up: the longest of sixty took a quarter of it
+LIMIT = 180.0  # s after which a search is given up: the longest of sixty took 6 s
 
 
 class Search:
