@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twin.geometry import Array, wrap_angle
@@ -120,9 +121,20 @@ def _half_turn(first: Array, second: Array) -> bool:
     return abs(abs(float(wrap_angle(first[2] - second[2]))) - np.pi) < 0.5
 
 
-def ground_point(P: Array, u: float, v: float, z: float) -> tuple[float, float]:
-    """Where the ray through a pixel meets the horizontal plane at height z in base. x, y in m."""
-    A = P[:2, :2] - np.outer((u, v), P[2, :2])
-    b = -(P[:2, 2:] - np.outer((u, v), P[2, 2:])) @ (z, 1.0)
-    x, y = np.linalg.solve(A, b)
-    return float(x), float(y)
+@njit(cache=True)
+def ground_point(P, u, v, z):
+    """Where the ray through a pixel meets the horizontal plane at height z in base. x, y in m.
+
+    Args:
+        P: projection of base coordinates to the image, (3, 4).
+        u, v: the pixel.
+        z: m.
+    """
+    a = P[0, 0] - u * P[2, 0]
+    b = P[0, 1] - u * P[2, 1]
+    c = P[1, 0] - v * P[2, 0]
+    d = P[1, 1] - v * P[2, 1]
+    e = -((P[0, 2] - u * P[2, 2]) * z + P[0, 3] - u * P[2, 3])
+    f = -((P[1, 2] - v * P[2, 2]) * z + P[1, 3] - v * P[2, 3])
+    det = a * d - b * c
+    return (e * d - b * f) / det, (a * f - e * c) / det

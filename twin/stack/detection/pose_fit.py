@@ -68,20 +68,17 @@ class PoseFitter:
         sigma = BOX_SIGMA / factor
         weight = BOX_WEIGHT * float(np.sqrt(there))
         mask = np.empty(evidence.shape, np.uint8)
-        found = []
-        for yaw in np.arange(YAWS) * (2 * np.pi / YAWS):
-            pose = np.array([x, y, yaw])
-            pose[:2] += _centring(points, starts, pose, z, patch, mask, inside, factor, P)
-            score = _score(points, starts, pose, z, patch, evidence, mask, inside, sigma, weight)
-            found.append((score, pose))
-        found.sort(key=lambda f: -f[0])
+        poses, scores = _around(
+            points, starts, (x, y), z, patch, evidence, mask, inside, sigma, weight, factor, P
+        )
+        best = np.argsort(-scores, kind="stable")[:STARTS]
         steps = np.array(STEPS)
         fits = [
             _search(
                 points, starts, pose, z, patch, evidence, mask, inside, sigma, weight, steps,
                 HALVINGS,
             )
-            for _, pose in found[:STARTS]
+            for pose in poses[best]
         ]  # fmt: skip
         pose, score = max(fits, key=lambda f: f[1])
         turned = [s for p, s in fits if abs(abs(float(wrap_angle(p[2] - pose[2]))) - np.pi) < 0.5]
@@ -90,33 +87,37 @@ class PoseFitter:
         return PoseFit(pose, score / there, self._drawing.symmetric or alike)
 
 
-def _centring(points, starts, pose, plane_z, patch, mask, inside, factor, P) -> Array:
-    """How far to move a pose, m, to centre its outline's box in the network's. Shape (2,)."""
-    draw(points, starts, pose, plane_z, patch, mask)
-    v, u = np.nonzero(mask)
-    if len(u) == 0:
-        return np.zeros(2)
-    du = (inside[0] + inside[2] - u.min() - u.max()) / 2 * factor
-    dv = (inside[1] + inside[3] - v.min() - v.max()) / 2 * factor
-    q = P @ (pose[0], pose[1], plane_z, 1.0)
-    at = q[:2] / q[2]
-    moved = ground_point(P, at[0] + du, at[1] + dv, plane_z)
-    return np.array(moved) - pose[:2]
+@njit(cache=True)
+def _around(
+    points, starts, place, plane_z, patch, evidence, mask, inside, sigma, weight, factor, P
+):
+    """Poses all around, each moved so that its box is centred in the network's; their scores."""
+    poses, scores = np.empty((YAWS, 3)), np.empty(YAWS)
+    for i in range(YAWS):
+        pose = poses[i]
+        pose[0], pose[1], pose[2] = place[0], place[1], i * 2 * np.pi / YAWS
+        left, top, right, bottom = draw(points, starts, pose, plane_z, patch, mask)
+        if right >= left:
+            du = (inside[0] + inside[2] - left - right) / 2 * factor
+            dv = (inside[1] + inside[3] - top - bottom) / 2 * factor
+            u, v, w = P[:, 0] * pose[0] + P[:, 1] * pose[1] + P[:, 2] * plane_z + P[:, 3]
+            moved = ground_point(P, u / w + du, v / w + dv, plane_z)
+            pose[0], pose[1] = moved
+        scores[i] = _score(
+            points, starts, pose, plane_z, patch, evidence, mask, inside, sigma, weight
+        )
+    return poses, scores
 
 
 @njit(cache=True)
 def _score(points, starts, pose, plane_z, P, evidence, mask, inside, sigma, weight):
     """Evidence under the outline, less a penalty for a box other than the network's."""
-    draw(points, starts, pose, plane_z, P, mask)
-    height, width = mask.shape
+    left, top, right, bottom = draw(points, starts, pose, plane_z, P, mask)
     total = 0.0
-    left, top, right, bottom = width, height, -1, -1
-    for v in range(height):
-        for u in range(width):
+    for v in range(top, bottom + 1):
+        for u in range(left, right + 1):
             if mask[v, u]:
                 total += evidence[v, u]
-                left, right = min(left, u), max(right, u)
-                top, bottom = min(top, v), max(bottom, v)
     off = (
         (left - inside[0]) ** 2
         + (top - inside[1]) ** 2

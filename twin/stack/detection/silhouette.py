@@ -47,9 +47,14 @@ def shifted(P: Array, u0: float, v0: float, factor: float = 1.0) -> Array:
 
 @njit(cache=True)
 def draw(points, starts, pose, plane_z, P, mask):
-    """Fill `mask` (h, w) with ones inside the outline."""
+    """Fill `mask` (h, w) with ones inside the outline.
+
+    Returns:
+        First and last column and row with a one: left, top, right, bottom.
+    """
     mask[:] = 0
     height, width = mask.shape
+    box_left, box_top, box_right, box_bottom = width, height, -1, -1
     c, s = np.cos(pose[2]), np.sin(pose[2])
     uv = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
@@ -71,8 +76,12 @@ def draw(points, starts, pose, plane_z, P, mask):
                     continue
                 u = a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
                 left, right = min(left, u), max(right, u)
-            for u in range(max(0, int(np.ceil(left))), min(width - 1, int(np.floor(right))) + 1):
-                mask[v, u] = 1
+            first, last = max(0, int(np.ceil(left))), min(width - 1, int(np.floor(right)))
+            if last >= first:
+                mask[v, first : last + 1] = 1
+                box_left, box_right = min(box_left, first), max(box_right, last)
+                box_top, box_bottom = min(box_top, v), max(box_bottom, v)
+    return box_left, box_top, box_right, box_bottom
 
 
 @njit(cache=True)
