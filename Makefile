@@ -26,11 +26,12 @@ lint: $(VENV)/.dev  ## Style, types, layers
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-bench: $(VENV)/.dev  ## Time of each part against its peers, and of the loop: ten minutes
+bench: $(VENV)/.dev  ## Time of each part against its peers, and of the loop: a quarter of an hour
 	$(BIN)/python -m evaluation.benchmarks.localisation
 	$(BIN)/python -m evaluation.benchmarks.mapping
 	$(BIN)/python -m evaluation.benchmarks.planning
 	$(BIN)/python -m evaluation.benchmarks.beacons --cases 100000
+	$(BIN)/twin run detect; $(BIN)/python -m evaluation.benchmarks.detection  # once it has pictures
 	$(BIN)/python -m evaluation.benchmarks.loop
 
 docs: $(VENV)/.runtime  ## Draw the figures of the README

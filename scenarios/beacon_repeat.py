@@ -164,7 +164,8 @@ def _scatter_of_directions(angles: Array) -> Array:
     if not len(seen):
         return np.full(2, np.nan)
     # The head's x points back, so azimuths lie about half a turn: off the first sight of each node.
-    off = wrap_angle(angles[:, seen] - angles[known[:, seen].argmax(axis=0), seen])
+    first = np.argmax(known[:, seen], axis=0)
+    off = wrap_angle(angles[:, seen] - angles[first, seen])
     return np.asarray(np.sqrt(np.mean(np.nanvar(off, axis=0), axis=0)), dtype=np.float64)
 
 

@@ -47,7 +47,10 @@ def main() -> None:
     config = nominal_config(layout.site, layout.options)
     cv2.setNumThreads(1)
     network = Network()
-    pictures = PictureSet(HELD_OUT)
+    try:
+        pictures = PictureSet(HELD_OUT)
+    except FileNotFoundError:
+        raise SystemExit(f"{HELD_OUT}: no pictures here; twin run detect makes them") from None
     print("detector   light    right / wanted   wrong class   false   ms a picture")
     kinds: dict[str, Callable[[StackConfig], ContourDetector | NetworkDetector]] = {
         "contour": ContourDetector,

@@ -73,7 +73,7 @@ def scan_in(field: LikelihoodField, pose: Array, stamp: float) -> LidarScan:
     return LidarScan(stamp, float(angles[0]), float(np.radians(0.25)), ranges, RANGE_MAX)
 
 
-def log_density(distances: Array) -> Array:
+def log_density(distances: NDArray[np.floating]) -> Array:
     """Of a beam that ends so far from the nearest obstacle, Xu et al., Eqs. 19-22."""
     normal = np.exp(-0.5 * (distances / MODEL.sigma) ** 2) / (np.sqrt(2 * np.pi) * MODEL.sigma)
     return np.log(MODEL.z_hit * normal + MODEL.z_rand / RANGE_MAX)
@@ -82,7 +82,7 @@ def log_density(distances: Array) -> Array:
 def tabled(field: LikelihoodField) -> LikelihoodField:
     """The field with log-densities in place of distances."""
     table = copy.copy(field)
-    table.distances = log_density(field.distances)
+    table.distances = log_density(field.distances).astype(np.float32)
     table.max_distance = float(log_density(np.array(field.max_distance)))
     return table
 

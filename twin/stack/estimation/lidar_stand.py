@@ -71,4 +71,5 @@ def find_stand(boards: list[BoardObservation]) -> LidarStand:
         weight = np.minimum(1.0, ROBUST / np.maximum(np.abs(r - J @ found), 1e-12))
         covariance = np.linalg.inv((J.T * weight) @ J + np.diag(PRIOR**-2))
         found = covariance @ ((J.T * weight) @ r)
-    return LidarStand(tuple(found.tolist()), covariance, len(boards))
+    up, roll, pitch = found.tolist()
+    return LidarStand((up, roll, pitch), np.asarray(covariance, float), len(boards))

@@ -184,7 +184,7 @@ class ObstacleLayer:
             self._fill(pose, self._solid.find(frame.depth_mm), scan.stamp)
             ends = self._points(place, beam_angles(scan), np.maximum(clear, 0.0))
             seen = self._filled(np.vstack([place[:2], ends])) & (self.depth.log_odds != 0.0)
-            seen |= self._filled(np.array(rectangle(*pose, *FOOTPRINT)))
+            seen |= self._filled(np.array(rectangle(pose[0], pose[1], pose[2], *FOOTPRINT)))
             self.looked_at[seen] = frame.stamp
         return fault
 

@@ -197,7 +197,8 @@ def observe_boards(seen: Pair, T_lidar_rgbd: Array) -> list[BoardObservation]:
 
 def _by_inverse_depth(points: Array) -> Array:
     """Plane n . p = 1: the error of stereo is the same in 1/z everywhere. Shape (3,)."""
-    return np.linalg.lstsq(points / points[:, 2:], 1.0 / points[:, 2], rcond=None)[0]
+    plane = np.linalg.lstsq(points / points[:, 2:], 1.0 / points[:, 2], rcond=None)[0]
+    return np.asarray(plane, float)
 
 
 def _alike(points: Array, normal: Array) -> bool:
