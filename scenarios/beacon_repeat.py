@@ -159,7 +159,7 @@ def _directions(place: Locator, batch: StampBatch) -> Array:
 
 def _scatter_of_directions(angles: Array) -> Array:
     """Of azimuth and elevation, rms over the nodes that were seen. (turns, n, 2) to (2,), rad."""
-    known = np.isfinite(angles).all(axis=2)
+    known = np.asarray(np.isfinite(angles).all(axis=2))
     seen = np.nonzero(known.any(axis=0))[0]
     if not len(seen):
         return np.full(2, np.nan)
