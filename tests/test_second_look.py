@@ -7,6 +7,7 @@ from twin.geometry import rot_x, transform
 from twin.layout import load_layout
 from twin.stack.config import Camera, nominal_config
 from twin.stack.detection.boxes import Boxes
+from twin.stack.detection.network import Network
 from twin.stack.detection.second_look import FIRST_SAYS, SIDE, SPAN, agreed, patches, scale_at
 
 layout = load_layout()
@@ -81,3 +82,23 @@ def test_the_surest_comes_first():
     second[0, [0, 5]] = 0.5
     second[1, 1] = 1.0
     assert agreed(boxes, second).part_class.tolist() == [1, 0]
+
+
+def test_what_is_unsure_is_seen_mirrored_too():
+    """A session that says what a table has for the patch's first pixel, by hand."""
+    table = {1: (0.99, 0.01), 2: (0.6, 0.4), 3: (0.1, 0.9)}
+
+    class Session:
+        def run(self, _, feed):
+            said = [table[int(p[0, 0, 0])] for p in feed["patches"]]
+            return [np.pad(np.array(said, np.float32), ((0, 0), (0, 4)))]
+
+    network = Network()
+    network._second = Session()
+    shown = np.zeros((2, SIDE, SIDE, 3), np.uint8)
+    shown[0, 0, 0], shown[0, 0, -1] = 1, 3  # sure: its mirror image is not asked for
+    shown[1, 0, 0], shown[1, 0, -1] = 2, 3
+    said = network.chances(shown)
+    a, b = (0.6 * 0.1) ** 0.5, (0.4 * 0.9) ** 0.5
+    np.testing.assert_allclose(said[0, :2], (0.99, 0.01), rtol=1e-6)
+    np.testing.assert_allclose(said[1, :2], (a / (a + b), b / (a + b)), rtol=1e-5)

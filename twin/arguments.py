@@ -51,11 +51,11 @@ class TrainDetector:
     """Folder of pictures, checkpoints and the exported network. Default: runs/detector."""
     seed: int = 0
     """Of pictures and crops."""
-    pictures: int = 4000
+    pictures: int = 8000
     """To draw; seven of ten are trained on."""
     steps: int = 6000
     """Of training the first look, 32 crops each."""
-    look_steps: int = 4000
+    look_steps: int = 12000
     """Of training the second look, 96 patches each."""
     ablation_steps: int = 0
     """Of each shorter training without one of the improvements; 0 leaves them out."""

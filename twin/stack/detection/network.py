@@ -17,6 +17,7 @@ from twin.stack.detection.second_look import SIDE, agreed, patches
 
 STRIDES = (4, 16, 32)  # px of the input a cell, finest map first
 WORTH = 0.15  # score of the first look from which a box gets a second one
+SURE = 0.95  # chance from which a patch need not be seen mirrored too
 
 
 class Network:
@@ -51,12 +52,21 @@ class Network:
     def chances(self, some: NDArray[np.uint8]) -> Array:
         """Second look: chances of the classes and, last, of nothing. Shape (k, 6).
 
+        Where it is unsure it sees the mirror image too, which is one of the same part.
+
         Args:
             some: patches, RGB. Shape (k, 64, 64, 3).
         """
+        said = self._said_of(some)
+        unsure = said.max(axis=1) < SURE
+        both = np.sqrt(said[unsure] * self._said_of(some[unsure, :, ::-1]))
+        said[unsure] = both / both.sum(axis=1, keepdims=True)
+        return said
+
+    def _said_of(self, some: NDArray[np.uint8]) -> Array:
         if len(some) == 0:
             return np.empty((0, len(PART_CLASSES) + 1))
-        return np.asarray(self._second.run(None, {"patches": some})[0])
+        return np.asarray(self._second.run(None, {"patches": np.ascontiguousarray(some)})[0])
 
     def see(
         self, image: NDArray[np.uint8], region: Region, camera: Camera, plane_z: float

@@ -36,9 +36,8 @@ class Region:
         """The network's input. Shape (1, 320, 416, 3)."""
         crop = image[self.top : self.top + self.height, self.left : self.left + self.width]
         size = max(1, round(self.width * self.scale)), max(1, round(self.height * self.scale))
-        how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_LINEAR
         out = np.full((1, HEIGHT, WIDTH, 3), GREY, np.uint8)
-        out[0, : size[1], : size[0]] = cv2.resize(crop, size, interpolation=how)
+        out[0, : size[1], : size[0]] = cv2.resize(crop, size, interpolation=cv2.INTER_LINEAR)
         return out
 
     def points_to_input(self, points: Array) -> Array:
