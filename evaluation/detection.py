@@ -61,9 +61,6 @@ class Counts:
     """Counts at one threshold."""
 
     classes: list[ClassCount] = field(default_factory=lambda: [ClassCount() for _ in PART_CLASSES])
-    confusion: Array = field(
-        default_factory=lambda: np.zeros((len(PART_CLASSES), len(PART_CLASSES)), int)
-    )
     false: int = 0  # reported where nothing is
     pictures: int = 0
 
@@ -102,7 +99,6 @@ def count(pictures: Sequence[Judged], threshold: float, tag: str | None = None) 
                 row.missed += 1
                 continue
             said = int(classes[found[0]])
-            counts.confusion[int(c), said] += 1
             row.right += said == c
             row.confused += said != c
         for n, box in enumerate(boxes):

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.table import Table
 
 from evaluation.detection import Counts, Judged, average_precision, count, map50_95
 from twin.messages import PART_CLASSES, PartClass
@@ -18,29 +17,8 @@ SOURCE: Mapping[PartClass, tuple[int, int, float, float]] = {
 }
 
 
-def table2(counts: Counts) -> Table:
-    """Row by row as in the source, with ours beside it."""
-    table = Table(title="Table 2: class, ours, Li & An 2025", title_justify="left")
-    table.add_column("class")
-    for name in ("total", "right", "accuracy %", "recall %", "precision %"):
-        table.add_column(name, justify="right")
-    for name in ("source total", "right", "accuracy %", "recall %"):
-        table.add_column(name, justify="right", style="dim")
-    for name, row in zip(PART_CLASSES, counts.classes, strict=True):
-        ours = (row.accuracy, row.recall, row.precision)
-        theirs = SOURCE[name]
-        table.add_row(
-            name,
-            str(row.total),
-            str(row.right),
-            *(f"{100 * x:.2f}" for x in ours),
-            *(str(x) for x in theirs),
-        )
-    return table
-
-
 def table2_lines(counts: Counts) -> list[str]:
-    """The same as plain lines, for the report's notes."""
+    """Row by row as in the source, with ours beside it."""
     lines = [
         "table 2: total, right, accuracy %, recall %, precision % (Li & An 2025: the first four)"
     ]

@@ -25,10 +25,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 
 from evaluation.detection import count
-from evaluation.detector_figures import by_condition, table2
+from evaluation.detector_figures import by_condition, table2_lines
 from evaluation.judging import SEEN, judge_pictures
 from evaluation.pictures import PictureSet
 from evaluation.plots import plot_detections
@@ -50,7 +49,7 @@ pictures = PictureSet(folder)
 network = Network()
 judged = judge_pictures(pictures, config, network)
 threshold = network.card.threshold
-Console(width=110).print(table2(count(judged, threshold)))
+print("\n".join(table2_lines(count(judged, threshold))))
 print("\n".join(by_condition(judged, threshold)))
 
 # %% [markdown]

@@ -21,6 +21,7 @@ CRITERIA = [
     Criterion("ape_max_m", "<=", 0.10),
     Criterion("pick_rate_per_hour", ">=", 600.0),
     Criterion("pick_success", ">=", 0.95),
+    Criterion("wrong_class", "==", 0.0),
     Criterion("collisions", "==", 0.0),
 ]
 

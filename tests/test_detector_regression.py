@@ -16,5 +16,5 @@ def test_parts_are_found_and_named(judged):
     counts = count(judged, Network().card.threshold)
     total = sum(c.total for c in counts.classes)
     assert total > 30
-    assert sum(c.right for c in counts.classes) / total >= 0.7
-    assert average_precision(judged) >= 0.55
+    assert sum(c.right for c in counts.classes) / total >= 0.94
+    assert average_precision(judged) >= 0.95

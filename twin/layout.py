@@ -220,7 +220,7 @@ class Options(Strict):
     beacons: Literal["off", "all", "source"] = "off"
     beacon_calibration: str | None = None  # file of a `beacon_calibrate` run; else the drawing
     aisle: Literal["pose", "line"] = "pose"  # what steers on long straights: pose or seen wall
-    detector: Literal["contour", "network"] = "contour"  # what tells the connectors apart
+    detector: Literal["network", "contour"] = "network"  # what tells the connectors apart
 
 
 class Layout(Strict):
