@@ -79,6 +79,7 @@ def test_meets_its_criteria(first):
         "ape_max_m",
         "pick_rate_per_hour",
         "pick_success",
+        "wrong_class",
         "collisions",
     }
     assert metrics["delivered"] == metrics["ordered"] == 3
