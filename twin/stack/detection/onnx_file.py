@@ -8,9 +8,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 GRAPH, OPSET_IMPORT = 7, 8  # of ModelProto
-INITIALIZER = 5  # of GraphProto
 EXTERNAL_DATA, DATA_LOCATION = 13, 14  # of TensorProto
 DOMAIN, VERSION = 1, 2  # of OperatorSetIdProto
+# Where tensors may be: what a message of each kind holds, by field number. A sparse tensor is
+# told by two dense ones; a graph in an attribute is a branch or a loop's body.
+HOLDS = {
+    "model": {GRAPH: "graph", 20: "training", 25: "function"},
+    "training": {1: "graph", 2: "graph"},
+    "function": {7: "node", 11: "attribute"},
+    "graph": {1: "node", 5: "tensor", 15: "sparse"},
+    "node": {5: "attribute"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "sparse": {1: "tensor", 2: "tensor"},
+}
+DEEPEST = 100  # messages in each other, as protobuf itself allows
 
 
 @dataclass(frozen=True)
@@ -28,22 +39,35 @@ def read_facts(content: bytes) -> OnnxFacts:
         ValueError: it is none, or cut off.
     """
     opsets: dict[str, int] = {}
-    external = has_graph = False
+    has_graph = False
     for field, value in _fields(content):
+        has_graph |= field == GRAPH
         if field == OPSET_IMPORT and isinstance(value, bytes):
             entry = dict(_fields(value))
             domain, version = entry.get(DOMAIN, b""), entry.get(VERSION, 0)
             if isinstance(domain, bytes) and isinstance(version, int):
                 opsets[domain.decode("utf-8", "replace")] = version
-        elif field == GRAPH and isinstance(value, bytes):
-            has_graph = True
-            for inner, tensor in _fields(value):
-                if inner == INITIALIZER and isinstance(tensor, bytes):
-                    said = {f: v for f, v in _fields(tensor) if f >= EXTERNAL_DATA}
-                    external |= EXTERNAL_DATA in said or said.get(DATA_LOCATION, 0) != 0
     if not has_graph or not opsets:
         raise ValueError("not an ONNX model")
+    external = any(
+        field == EXTERNAL_DATA or (field == DATA_LOCATION and value != 0)
+        for tensor in _tensors(content, "model")
+        for field, value in _fields(tensor)
+    )
     return OnnxFacts(opsets, external)
+
+
+def _tensors(content: bytes, kind: str, depth: int = 0) -> Iterator[bytes]:
+    """All tensors in a message of one kind, however deep."""
+    if kind == "tensor":
+        yield content
+        return
+    if depth > DEEPEST:
+        raise ValueError("nested too deeply")
+    for field, value in _fields(content):
+        inner = HOLDS[kind].get(field)
+        if inner is not None and isinstance(value, bytes):
+            yield from _tensors(value, inner, depth + 1)
 
 
 def _fields(content: bytes) -> Iterator[tuple[int, int | bytes]]:
