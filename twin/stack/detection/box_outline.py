@@ -17,7 +17,6 @@ ROOM = 3.0  # px about the box in which the part may still be
 # px, 1 sigma; with LEVEL and the fit's BOX_WEIGHT the best of a dozen tried (model card)
 BLUR = 0.3
 CLOSING = 5  # px: bridges threads
-NEAR = np.ones((3, 3), np.uint8)
 LEVEL = 0.52  # of the contrast one pixel about: the edge of a blurred step (see `contour`)
 LEAST, SHADE = 10.0, 7.0  # grey values above and below the belt that may be a part
 SPREADS = 3.5  # of the belt's own texture that may not
