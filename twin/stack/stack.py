@@ -36,6 +36,7 @@ from twin.messages import (
 )
 from twin.stack.config import StackConfig
 from twin.stack.detection.contour import ContourDetector
+from twin.stack.detection.frames import OUT_OF_VIEW
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.tracker import Tracker
 from twin.stack.estimation.beacon_calibration import BeaconCalibrationRun
@@ -107,6 +108,7 @@ class Stack:
         self.search = Search(config)
         learned = config.options.detector == "network"
         self.detector = NetworkDetector(config) if learned else ContourDetector(config)
+        self._hindrance: str | None = None  # why the last picture could not be looked at
         self.tracker = Tracker(config)
         self.distance = DistanceToPick(config)
         self.arms = (ArmWorker(0, config), ArmWorker(1, config))
@@ -120,6 +122,7 @@ class Stack:
         self._anchor = np.zeros(3)  # world from odom, held still while parts are tracked
         self._detections: tuple[Detection, ...] = ()
         self._detections_stamp = -1.0
+        self.events: list[str] = []
         self._tree: Behaviour = Act("fetch order", lambda: self.order is not None)
         self.state = self._snapshot(())
 
@@ -301,12 +304,21 @@ class Stack:
         pose = compose2(self._anchor, fused)
         self._detections = self.detector.detect(frame, pose)
         self._detections_stamp = frame.stamp
+        self._tell(self.detector.reason)
         self.tracker.update(frame.stamp, self._detections, pose)
+
+    def _tell(self, reason: str | None) -> None:
+        """Say it when pictures can no longer be looked at, or can again."""
+        if reason == OUT_OF_VIEW and not self.drive.done:
+            reason = None  # all is well: the vehicle is still on its way to the belt
+        if reason != self._hindrance:
+            self._hindrance = reason
+            self.events.append(f"mast camera: {reason or 'good pictures again'}")
 
     # --- for the record --------------------------------------------------------------------------
 
     def _snapshot(self, parts) -> StackState:
-        speakers = (*self.arms, self.navigator, self.drive, self.localiser)
+        speakers = (*self.arms, self.navigator, self.drive, self.localiser, self)
         events = tuple(e for s in speakers for e in s.events)
         for speaker in speakers:
             speaker.events.clear()

@@ -12,6 +12,7 @@ from twin.geometry import Array
 from twin.messages import CameraFrame, Detection
 from twin.stack.config import StackConfig
 from twin.stack.detection.classify import Classifier
+from twin.stack.detection.frames import hindrance
 from twin.stack.detection.silhouette import projection
 from twin.stack.detection.window import belt_window
 
@@ -39,16 +40,18 @@ class ContourDetector:
         self._size = (config.camera.height, config.camera.width)
         self._classifier = Classifier(config.parts, self._line.height)
         self._close = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (CLOSING, CLOSING))
+        self.reason: str | None = None  # why the last picture was not looked at
 
     def detect(self, frame: CameraFrame, pose: Array) -> tuple[Detection, ...]:
-        """Parts that lie wholly inside the window.
+        """Parts that lie wholly inside the window; none, and a `reason`, for a bad picture.
 
         Args:
             frame: one picture.
             pose: estimated pose of the base in world at exposure, (3,).
         """
         polygon = self.window(pose)
-        if len(polygon) < 3:
+        self.reason = hindrance(frame.image, self._size, polygon)
+        if self.reason is not None:
             return ()
         corners = np.rint(polygon).astype(np.int32)
         u0, v0, width, height = cv2.boundingRect(corners)

@@ -12,7 +12,7 @@ from twin.messages import PART_CLASSES, CameraFrame, Detection
 from twin.stack.config import StackConfig
 from twin.stack.detection.box_outline import FACTOR, look_into
 from twin.stack.detection.boxes import Boxes
-from twin.stack.detection.frames import fault_of
+from twin.stack.detection.frames import hindrance
 from twin.stack.detection.network import Network
 from twin.stack.detection.pose_fit import PoseFitter
 from twin.stack.detection.roi import Region
@@ -49,12 +49,9 @@ class NetworkDetector:
             frame: one picture.
             pose: estimated pose of the base in world at exposure, (3,).
         """
-        self.reason = fault_of(frame.image, *self._size)
-        if self.reason is not None:
-            return ()
         polygon = self.window(pose)
-        if len(polygon) < 3:
-            self.reason = "belt not in view"
+        self.reason = hindrance(frame.image, self._size, polygon)
+        if self.reason is not None:
             return ()
         boxes = self.look(frame, polygon)
         found = [self._measure(frame, boxes, k, polygon) for k in range(len(boxes.box))]
