@@ -1,11 +1,13 @@
 """From boxes to poses: a stand-in for the network says where the parts are; the rest is real."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from belt_frames import errors, load
 
+from twin.geometry import wrap_angle
 from twin.layout import load_layout
 from twin.messages import PART_CLASSES
 from twin.stack.config import nominal_config
@@ -13,7 +15,7 @@ from twin.stack.detection.box_outline import FACTOR, look_into
 from twin.stack.detection.boxes import Boxes
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.pose_fit import PoseFitter
-from twin.stack.detection.silhouette import projection
+from twin.stack.detection.silhouette import Outline, draw, projection, shifted
 
 layout = load_layout()
 config = nominal_config(layout.site, layout.options)
@@ -81,8 +83,30 @@ def test_a_box_on_bare_belt_is_no_part():
     )
 
 
-def test_same_either_way_round_is_told():
-    """A plain block fits as well turned by half a turn; an adapter does not."""
+def test_what_does_not_fit_its_class_is_no_part():
+    """Boxes are right and sure, but an adapter is called a tee."""
+    frame, pose, labels = load()[0]
+    at = [p[1:] for p in labels if p[0] == "tnc_m_sma_f" and 0.38 < p[1] < 0.7]
+    assert len(detect(frame, pose, [("tnc_m_sma_f", *p) for p in at])) == len(at) > 0
+    assert detect(frame, pose, [("n_tee_m_mm", *p) for p in at]) == ()
+
+
+def test_a_part_cut_by_the_window_is_ignored():
+    frame, pose, labels = load()[0]
+    detector = NetworkDetector(config, AllKnowing(labels))
+    first = detector.detect(frame, pose)[0]
+    left, top = first.contour_px.min(axis=0) - 2
+    right, bottom = first.contour_px.max(axis=0) + 2
+    around = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+    detector.window = lambda pose: around
+    (found,) = detector.detect(frame, pose)
+    np.testing.assert_array_equal(found.contour_px, first.contour_px)
+    for half in (around - np.array([0, 6]), around[::-1] + np.array([6, 0])):
+        detector.window = lambda pose, half=half: half
+        assert detector.detect(frame, pose) == ()
+
+
+def test_an_adapter_looks_different_turned_round():
     frame, _, labels = load()[0]
     c, *at = next(p for p in labels if p[0] in ("sma_f_n_m", "sma_m_n_m") and 0.38 < p[1] < 0.7)
     box = box_of(c, *at)
@@ -91,6 +115,34 @@ def test_same_either_way_round_is_told():
         seen.evidence, seen.corner, FACTOR, box, P
     )
     assert not fit.symmetric and fit.quality > 0.8
+
+
+BLOCK = [(x, y, z) for x in (-0.018, 0.018) for y in (-0.006, 0.006) for z in (0.0, 0.01)]
+HEAD = [(x, y, z) for x in (0.006, 0.018) for y in (-0.011, 0.011) for z in (0.0, 0.01)]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0])
+@pytest.mark.parametrize("solids, symmetric", [([BLOCK], True), ([BLOCK, HEAD], False)])
+def test_same_either_way_round_is_told(solids, symmetric, yaw):
+    """A plain block fits as well turned by half a turn, though its drawing does not say so."""
+    drawing = replace(
+        config.parts["sma_f_n_m"],
+        solids=tuple(np.array(s) for s in solids),
+        height=0.01,
+        symmetric=False,
+    )
+    height, pose = layout.site.line.height, np.array([0.5, 0.45, yaw])
+    u, v, w = P @ (0.5, 0.45, height, 1)
+    corner = int(u / w) - 40, int(v / w) - 40
+    outline = Outline.of(drawing)
+    mask = np.zeros((160, 160), np.uint8)
+    sides = draw(outline.points, outline.starts, pose, height, shifted(P, *corner, FACTOR), mask)
+    box = (sides + np.array([0, 0, 1, 1])) * FACTOR + np.array([*corner, *corner])
+    fit = PoseFitter(drawing, height).fit(np.where(mask, 1.0, -0.6), corner, FACTOR, box, P)
+    assert fit is not None and fit.quality > 0.95 and fit.symmetric == symmetric
+    np.testing.assert_allclose(fit.pose[:2], pose[:2], atol=3e-4)
+    off = wrap_angle((2 if symmetric else 1) * (fit.pose[2] - yaw))
+    assert abs(off) < np.radians(2)
 
 
 @pytest.mark.parametrize("box", [(-30, -30, -10, -10), (630, 470, 700, 520), (100, 100, 101, 101)])
