@@ -102,21 +102,23 @@ class Augmenter:
             if (high <= 1).any() or (low >= size - 1).any():
                 continue
             hulls.append(hull)
-            if (low < 0).any() or (high > size).any():
+            if (low < -0.5).any() or (high > size - 0.5).any():
                 share, hull = _clip(hull, size)
             else:
                 share = 1.0
             if share * label.visible < HINTED or len(hull) < 3:
                 continue
-            box = np.concatenate([hull.min(axis=0), hull.max(axis=0) + scale])
+            # The contour is of pixels' centres, the box of their edges, half a source pixel on.
+            low, high = hull.min(axis=0) + 0.5 - scale / 2, hull.max(axis=0) + 0.5 + scale / 2
+            box = np.concatenate([low, high])
             found.append((np.clip(box, 0, size), label.index, share * label.visible))
         return self._backdrop.lay(np.asarray(image, np.uint8), hulls, rng), found
 
 
 def _clip(hull: Array, size: int) -> tuple[float, Array]:
-    """Share of a convex polygon's area inside a square at the origin, and that part of it."""
-    square = np.array([(0, 0), (size, 0), (size, size), (0, size)], np.float32)
-    area, inside = cv2.intersectConvexConvex(hull.astype(np.float32), square)
+    """Share of a convex polygon's area inside a crop, and that part of it."""
+    square = np.array([(0, 0), (size, 0), (size, size), (0, size)], np.float32) - 0.5
+    area, inside = cv2.intersectConvexConvex(hull.astype(np.float32), np.asarray(square))
     whole = cv2.contourArea(hull.astype(np.float32))
     if inside is None or whole <= 0:
         return 0.0, np.empty((0, 2))

@@ -1,6 +1,7 @@
 """Which lights, belts, textures and speeds a set of pictures is drawn from.
 
-Training and held-out share no lamp direction, texture, belt colour or belt speed.
+Training and held-out share no lamp direction, warmth of light, texture or belt speed. Two of the
+held-out belts have colours of their own; the third, in both sets, is the cell's own green.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ ANGLES: dict[Angle, Span] = {"drawn": (0.0, 0.8), "tilted": (4.0, 9.0)}  # deg f
 
 @dataclass(frozen=True)
 class Domain:
-    """Ranges of what the two sets do not share."""
+    """Ranges of what differs between the two sets."""
 
     name: str
     azimuth_deg: tuple[Span, ...]  # where lamps stand, in world
