@@ -21,7 +21,10 @@ from twin.stack.detection.silhouette import projection
 from twin.stack.detection.window import belt_window
 
 SIZE = (480, 640)  # px, height and width
+SHARDS = "[0-9]*.json"  # what is known of the pictures, one file a shard; pixels in the .npy beside
 SPLIT = "tttttttvve"  # 7:2:1 for training, validation and test (Li & An 2025, section 4)
+
+AGAIN = "delete it to have it made again"
 
 Height = Literal["low", "pick", "high"]
 Angle = Literal["drawn", "tilted"]
@@ -72,20 +75,28 @@ class Shot:
         return Camera(SIZE[1], SIZE[0], self.fovy_deg, self.T_base_camera)
 
 
+class SetError(ValueError):
+    """A set on disk that cannot be used. The message is one line."""
+
+
 class PictureSet:
     """A set on disk. Pixels are read when asked for.
 
     Args:
         folder: where it was made.
         part: "t" training, "v" validation, "e" test, or "" for all.
+
+    Raises:
+        SetError: there are no pictures, or a file of them is damaged.
     """
 
     def __init__(self, folder: Path, part: str = ""):
-        files = sorted(folder.glob("*.json"))
+        files = sorted(folder.glob(SHARDS))
         if not files:
-            raise FileNotFoundError(f"{folder}: no pictures here; twin train-detector makes them")
-        self._pixels = [np.load(f.with_suffix(".npy"), mmap_mode="r") for f in files]
-        shots = [[from_json(s) for s in json.loads(f.read_text())] for f in files]
+            raise SetError(f"{folder}: no pictures here; twin train-detector makes them")
+        shards = [read_shard(f) for f in files]
+        self._pixels = [pixels for pixels, _ in shards]
+        shots = [known for _, known in shards]
         at = [(i, j) for i, some in enumerate(shots) for j in range(len(some))]
         self._at = [p for n, p in enumerate(at) if not part or SPLIT[n % len(SPLIT)] == part]
         self.shots: Sequence[Shot] = [shots[i][j] for i, j in self._at]
@@ -105,6 +116,33 @@ class PictureSet:
             total.update(self.image(k).tobytes())
             total.update(json.dumps(to_json(shot)).encode())
         return total.hexdigest()
+
+
+def read_shard(known: Path) -> tuple[NDArray[np.uint8], list[Shot]]:
+    """Pixels, (n, 480, 640, 3) and still on disk, and what is known of them.
+
+    Args:
+        known: the .json file of the shard.
+
+    Raises:
+        SetError: one of the two files is missing or damaged.
+    """
+    pixels = known.with_suffix(".npy")
+    try:
+        shots = [from_json(entry) for entry in json.loads(known.read_text(encoding="utf-8"))]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SetError(f"{known}: damaged; {AGAIN}") from None
+    try:
+        images = np.load(pixels, mmap_mode="r")
+    except FileNotFoundError:
+        raise SetError(f"{known}: its pictures, {pixels.name}, are missing; {AGAIN}") from None
+    except (OSError, ValueError, EOFError):
+        raise SetError(f"{pixels}: damaged; {AGAIN}") from None
+    if images.dtype != np.uint8 or images.shape[1:] != (*SIZE, 3):
+        raise SetError(f"{pixels}: {images.dtype} of shape {images.shape}, no pictures; {AGAIN}")
+    if len(images) != len(shots):
+        raise SetError(f"{known}: tells of {len(shots)} pictures, not of {len(images)}; {AGAIN}")
+    return images, shots
 
 
 def region_of(shot: Shot, config: StackConfig) -> Region:

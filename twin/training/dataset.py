@@ -1,9 +1,11 @@
 """Pictures with labels on disk: made by seed, shard by shard, so that making them can be resumed.
 
-A picture depends on the seed, the domain and its own number alone. Nothing of this is committed;
-`twin train-detector` makes it anew.
+A picture depends on the seed, the domain, the drawing of the site and its own number alone: what a
+folder's pictures were made from stands in its set.json. Nothing of this is committed; `twin
+train-detector` makes it anew.
 """
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.pictures import Shot, to_json
+from evaluation.pictures import AGAIN, SetError, Shot, read_shard, to_json
 from twin.geometry import Array, inverse, pose2_to_transform, rot2
 from twin.layout import Layout
 from twin.plant.sensors.camera import Optics
@@ -24,6 +26,7 @@ from twin.training.labels import labels_of
 from twin.training.scenes import draw_scene
 
 SHARD = 100  # pictures a file
+SET = "set.json"  # which pictures a folder holds; its name begins with no digit, as shards' do
 GLARING = 0.20  # least share of the parts' pixels that glare saturates
 
 
@@ -98,20 +101,63 @@ def make_set(
     count: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Make a set, or what of it is still missing."""
+    """Make a set, or what of it is still missing.
+
+    Args:
+        folder: of the set.
+        layout: of the cell.
+        domain: what the pictures are drawn from.
+        seed: of the set.
+        count: pictures. Those beyond it that are there already are left.
+        progress: called with the pictures that are there, and `count`.
+
+    Raises:
+        SetError: the folder holds other pictures, or a file of them is damaged.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [k for k in range(0, count, SHARD) if not _files(folder, k)[1].exists()]
+    _claim(folder, layout, domain, seed)
+    missing = [k for k in range(0, count, SHARD) if _held(folder, k) < min(SHARD, count - k)]
     if not missing:
         return
     with Darkroom(layout, domain, seed) as room:
         for first in missing:
             made = [room.make(i) for i in range(first, min(first + SHARD, count))]
             pixels, known = _files(folder, first)
+            known.unlink(missing_ok=True)
             np.save(pixels, np.stack([image for image, _ in made]))
             partial = known.with_suffix(".partial")
             partial.write_text(json.dumps([to_json(shot) for _, shot in made]))
             partial.rename(known)  # the last to come: with it the shard is whole
             progress(first + len(made), count)
+
+
+def _claim(folder: Path, layout: Layout, domain: Domain, seed: int) -> None:
+    """Note what the pictures are made from, or see that it is what is noted.
+
+    Without a note (earlier versions wrote none) the pictures count as fitting.
+    """
+    note = folder / SET
+    site = hashlib.sha256(layout.site.model_dump_json().encode()).hexdigest()
+    wanted = {"seed": seed, "domain": domain.name, "site": site}
+    if not note.exists():
+        note.write_text(json.dumps(wanted, indent=2) + "\n", encoding="utf-8")
+        return
+    try:
+        found = dict(json.loads(note.read_text(encoding="utf-8")))
+    except (ValueError, TypeError):
+        raise SetError(f"{note}: damaged; {AGAIN}") from None
+    other = [name for name, value in wanted.items() if found.get(name) != value]
+    if other:
+        raise SetError(
+            f"{folder}: holds pictures of another {' and '.join(other)};"
+            " move it away, or take another folder"
+        )
+
+
+def _held(folder: Path, first: int) -> int:
+    """Pictures of a shard that are there."""
+    pixels, known = _files(folder, first)
+    return len(read_shard(known)[0]) if pixels.exists() and known.exists() else 0
 
 
 def _salt(domain: Domain) -> int:

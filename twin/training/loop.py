@@ -1,8 +1,11 @@
 """The loop that trains a network: one thread, resumable, with averaged weights and a log."""
 
+import contextlib
 import copy
 import json
-from collections.abc import Callable
+import pickle
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -17,10 +20,21 @@ LAST_RATE = 0.02  # of the first
 EMA = 0.998  # of the weights that are validated and exported
 DECAY = 0.02  # of weights
 CLIP = 10.0  # of the gradient's length
+CHECKPOINT = "checkpoint.pt"
 SAVE_EVERY, LOG_EVERY, VALIDATE_EVERY = 100, 20, 500  # steps
+
+# What PyTorch and numpy raise at a file that is cut, of other shapes or no such file at all.
+DAMAGE = (
+    zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError,
+    KeyError, TypeError, AttributeError,
+)  # fmt: skip
 
 Progress = Callable[[int, int, str], None]
 N = TypeVar("N", bound=nn.Module)
+
+
+class WeightsError(ValueError):
+    """A file of weights that cannot be used. The message is one line."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,8 @@ def fit(
         The network with its averaged weights.
 
     Raises:
-        ValueError: the checkpoint is of another design.
+        WeightsError: the checkpoint is damaged, of another design, seed or batch, or further than
+            the plan.
     """
     torch.set_num_threads(1)
     torch.manual_seed(plan.seed)
@@ -66,11 +81,14 @@ def fit(
     network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(network.parameters(), lr=plan.rate, weight_decay=DECAY)
     state = {"network": network, "averaged": averaged, "optimiser": optimiser}
-    first = _resume(folder, design, state)
+    run = {"design": design, "seed": plan.seed, "batch": plan.batch}
+    first = _resume(folder / CHECKPOINT, run, plan.steps, state)
     for step in range(first, plan.steps):
         for group in optimiser.param_groups:
             group["lr"] = rate_at(plan, step)
-        rng = np.random.default_rng([plan.seed, step])  # a resumed run sees what it would have seen
+        # A resumed run sees, and drops out, what it would have.
+        rng = np.random.default_rng([plan.seed, step])
+        torch.manual_seed(int(np.random.SeedSequence([plan.seed, step]).generate_state(1)[0]))
         network.train()
         parts = loss(network, rng)
         optimiser.zero_grad()
@@ -86,7 +104,7 @@ def fit(
         if done % VALIDATE_EVERY == 0 or done == plan.steps:
             _log(folder, {"step": done, **validate(averaged.eval())})
         if done % SAVE_EVERY == 0 or done == plan.steps:
-            _save(folder, done, design, state)
+            _save(folder / CHECKPOINT, done, run, state)
     return averaged.eval()
 
 
@@ -100,14 +118,15 @@ def load_weights(network: nn.Module, path: Path) -> None:
     """Weights of `save_weights`.
 
     Raises:
-        ValueError: they are another network's.
+        WeightsError: they are another network's, or damaged.
     """
-    with np.load(path) as arrays:
-        state = {k: torch.from_numpy(arrays[k]) for k in arrays.files}
-    missing, surplus = network.load_state_dict(state, strict=False)
+    with _read(path):
+        with np.load(path) as arrays:
+            state = {k: torch.from_numpy(arrays[k]) for k in arrays.files}
+        missing, surplus = network.load_state_dict(state, strict=False)
     missing = [k for k in missing if "num_batches" not in k]
     if missing or surplus:
-        raise ValueError(f"{path}: weights of another network ({(missing + surplus)[0]} differs)")
+        raise WeightsError(f"{path}: weights of another network ({(missing + surplus)[0]} differs)")
 
 
 def rate_at(plan: Plan, step: int) -> float:
@@ -125,23 +144,37 @@ def _average(averaged: nn.Module, network: nn.Module, step: int) -> None:
             mean.lerp_(now[name], 1 - keep)
 
 
-def _save(folder: Path, step: int, design: dict, state: dict) -> None:
-    partial = folder / "checkpoint.partial"
+def _save(path: Path, step: int, run: dict, state: dict) -> None:
+    partial = path.with_suffix(".partial")
     kept = {name: each.state_dict() for name, each in state.items()}
-    torch.save({"step": step, "design": design, **kept}, partial)
-    partial.replace(folder / "checkpoint.pt")
+    torch.save({"step": step, **run, **kept}, partial)
+    partial.replace(path)
 
 
-def _resume(folder: Path, design: dict, state: dict) -> int:
-    path = folder / "checkpoint.pt"
+def _resume(path: Path, run: dict, steps: int, state: dict) -> int:
+    """Load a checkpoint, if there is one; steps that it has behind it."""
     if not path.exists():
         return 0
-    kept = torch.load(path, weights_only=True)
-    if kept["design"] != design:
-        raise ValueError(f"{path}: checkpoint of another design {kept['design']}")
-    for name, each in state.items():
-        each.load_state_dict(kept[name])
-    return int(kept["step"])
+    with _read(path):
+        kept = torch.load(path, weights_only=True)
+        done, other = int(kept["step"]), [name for name in run if kept.get(name) != run[name]]
+    if other:
+        said = ", ".join(f"{name} {kept.get(name)}, not {run[name]}" for name in other)
+        raise WeightsError(f"{path}: checkpoint of another run ({said})")
+    if done > steps:
+        raise WeightsError(f"{path}: has {done} steps, more than the {steps} asked for")
+    with _read(path):
+        for name, each in state.items():
+            each.load_state_dict(kept[name])
+    return done
+
+
+@contextlib.contextmanager
+def _read(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except DAMAGE as error:
+        raise WeightsError(f"{path}: damaged ({type(error).__name__})") from None
 
 
 def _log(folder: Path, entry: dict) -> None:
