@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from twin.stack.detection.boxes import MAX_LOG_SIZE
 from twin.training.network import Design
 
 LEVEL_SIZE = {4: 64.0, 16: 128.0, 32: math.inf}  # px: longer parts belong to the next stride
 RADIUS = 1.5  # cells about a part's centre that answer for it
 FOCUS = 2.0  # exponent by which easy empty cells are passed over (Lin et al. 2017)
 BOX, OBJECT, CLASS = 2.0, 1.0, 2.0  # weights; not tuned
-MAX_LOG_SIZE = 6.0  # of exp(tw), against overflow
 
 
 @dataclass(frozen=True)

@@ -54,12 +54,13 @@ class Detector(nn.Module):
             )
             for i in range(4)
         )
-        self.lateral = nn.ModuleList(nn.Conv2d(c, NECK, 1, bias=False) for c in w[1:])
-        self.norm = nn.ModuleList(nn.BatchNorm2d(NECK) for _ in w[1:])
-        self.mix = nn.ModuleList(_separable(NECK, 5 if i == 0 else 3) for i in range(4))
-        self.attention = nn.ModuleList(
-            _Attention(NECK) if self.design.attention else nn.Identity() for _ in range(2)
-        )
+        # Numbered by the stage whose features they take; attention in the order of the maps.
+        self._levels = levels = (0, 1, 2, 3) if self.design.fine_map else (2, 3)
+        self.lateral = _by_number({i: nn.Conv2d(w[i + 1], NECK, 1, bias=False) for i in levels})
+        self.norm = _by_number({i: nn.BatchNorm2d(NECK) for i in levels})
+        self.mix = _by_number({i: _separable(NECK, 5 if i == 0 else 3) for i in levels})
+        weighed = [i // 2 for i in levels if i in (0, 2)] if self.design.attention else []
+        self.attention = _by_number({k: _Attention(NECK) for k in weighed})
         self.heads = nn.ModuleList(
             nn.Sequential(_separable(NECK, 3), nn.Conv2d(NECK, OUTPUTS, 1)) for _ in self.strides
         )
@@ -85,18 +86,17 @@ class Detector(nn.Module):
         for stage in self.stages:
             x = stage(x)
             features.append(x)
-        maps: list[Tensor] = [x] * 4
+        maps: dict[int, Tensor] = {}
         above: Tensor | None = None
-        lowest = 0 if self.design.fine_map else 2
-        for i in range(3, lowest - 1, -1):
-            y = self.norm[i](self.lateral[i](features[i]))
+        for i in reversed(self._levels):
+            y = self.norm[str(i)](self.lateral[str(i)](features[i]))
             if above is not None:
                 y = y + nn.functional.interpolate(above, scale_factor=2.0, mode="nearest")
-            above = self.mix[i](torch.relu(y))
-            if i in (0, 2):
-                above = self.attention[i // 2](above)
+            above = self.mix[str(i)](torch.relu(y))
+            if self.design.attention and i in (0, 2):
+                above = self.attention[str(i // 2)](above)
             maps[i] = above
-        used = [maps[0], maps[2], maps[3]] if self.design.fine_map else maps[2:]
+        used = [maps[i] for i in (0, 2, 3) if i in maps]
         return [head(y) for head, y in zip(self.heads, used, strict=True)]
 
 
@@ -183,6 +183,10 @@ def conv(inside: int, outside: int, size: int, stride: int = 1, groups: int = 1)
         nn.BatchNorm2d(outside),
         nn.ReLU(),
     )
+
+
+def _by_number(layers: dict[int, nn.Module]) -> nn.ModuleDict:
+    return nn.ModuleDict({str(number): layer for number, layer in layers.items()})
 
 
 def _separable(channels: int, size: int) -> nn.Module:
