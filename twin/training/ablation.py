@@ -4,6 +4,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from evaluation.detection import average_precision, count, map50_95
 from evaluation.judging import judge_pictures
 from evaluation.pictures import PictureSet
@@ -58,7 +60,7 @@ def ablate(
             "map50": round(average_precision(judged), 4),
             "map50_95": round(map50_95(judged), 4),
             "map50_small": round(average_precision(judged, small=True), 4),
-            "accuracy_mean": round(counts.accuracy_mean, 4),
+            "accuracy_mean": round(float(np.nanmean([c.accuracy for c in counts.classes])), 4),
         }
         (folder / "ablation.json").write_text(json.dumps(lines, indent=2) + "\n", encoding="utf-8")
     return lines

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import math
 from dataclasses import asdict
 from pathlib import Path
 
@@ -81,20 +82,28 @@ def fix_threshold(folder: Path, data: Path, config: StackConfig) -> None:
     best = max(t for t in THRESHOLDS if at[t].accuracy_min >= least)
     card = json.loads((folder / CARD).read_text(encoding="utf-8"))
     card["threshold"] = best
-    card["validation"] = {
-        "pictures": len(judged),
-        "accuracy_min": round(at[best].accuracy_min, 4),
-        "recall_min": round(at[best].recall_min, 4),
-        "precision_min": round(at[best].precision_min, 4),
-        "map50": round(average_precision(judged), 4),
-    }
+    card["validation"] = known(
+        {
+            "pictures": len(judged),
+            "accuracy_min": round(at[best].accuracy_min, 4),
+            "recall_min": round(at[best].recall_min, 4),
+            "precision_min": round(at[best].precision_min, 4),
+            "map50": round(average_precision(judged), 4),
+        }
+    )
     write_card(folder, card)
 
 
 def write_card(folder: Path, card: dict) -> None:
     """The machine's part of the model card."""
-    text = json.dumps(card, indent=2)
+    text = json.dumps(card, indent=2, allow_nan=False)
     (folder / CARD).write_text(text + "\n", encoding="utf-8")
+
+
+def known(figures: dict[str, float]) -> dict[str, float]:
+    """Without those that are not a number, as the precision of a class that is never reported is:
+    JSON has no word for them."""
+    return {name: value for name, value in figures.items() if not math.isnan(value)}
 
 
 def _write(model, example, path: Path, name: str, outputs: list[str], free: dict) -> None:

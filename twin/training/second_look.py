@@ -151,7 +151,8 @@ def train_second_look(
         The network with its averaged weights.
 
     Raises:
-        ValueError: weights or checkpoint are another network's.
+        SetError: the pictures cannot be read.
+        WeightsError: weights or checkpoint are another run's, or damaged.
     """
     torch.manual_seed(seed)
     network = SecondLook()
@@ -168,7 +169,8 @@ def train_second_look(
 
     @torch.no_grad()
     def validate(network: SecondLook) -> dict:
-        said = torch.cat([network(pixels(list(x))).argmax(1) for x in np.array_split(shown, 20)])
+        parts = [shown[k : k + BATCH] for k in range(0, len(shown), BATCH)]
+        said = torch.cat([network(pixels(list(x))).argmax(1) for x in parts])
         right = said.numpy() == known
         return {"accuracy": [round(float(right[known == c].mean()), 4) for c in range(NOTHING)]}
 

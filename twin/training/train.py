@@ -44,7 +44,8 @@ def train(
         The network with its averaged weights.
 
     Raises:
-        ValueError: weights or checkpoint are another network's.
+        SetError: the pictures cannot be read.
+        WeightsError: weights or checkpoint are another run's, or damaged.
     """
     torch.manual_seed(plan.seed)
     network = Detector(design)
