@@ -93,7 +93,9 @@ class PictureSet:
     def __init__(self, folder: Path, part: str = ""):
         files = sorted(folder.glob(SHARDS))
         if not files:
-            raise SetError(f"{folder}: no pictures here; twin train-detector makes them")
+            raise SetError(
+                f"{folder}: no pictures here; twin run detect or twin train-detector makes them"
+            )
         shards = [read_shard(f) for f in files]
         self._pixels = [pixels for pixels, _ in shards]
         shots = [known for _, known in shards]

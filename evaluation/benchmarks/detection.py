@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from evaluation.pictures import PictureSet, Shot, region_of
+from evaluation.pictures import PictureSet, SetError, Shot, region_of
 from twin.geometry import between2
 from twin.layout import load_layout, models_dir
 from twin.messages import CameraFrame
@@ -49,8 +49,8 @@ def main() -> None:
     network = Network()
     try:
         pictures = PictureSet(HELD_OUT)
-    except FileNotFoundError:
-        raise SystemExit(f"{HELD_OUT}: no pictures here; twin run detect makes them") from None
+    except SetError as error:
+        raise SystemExit(str(error)) from None
     print("detector   light    right / wanted   wrong class   false   ms a picture")
     kinds: dict[str, Callable[[StackConfig], ContourDetector | NetworkDetector]] = {
         "contour": ContourDetector,
