@@ -20,6 +20,7 @@ from twin.stack.detection.frames import fault_of
 from twin.stack.detection.network import STRIDES, Network
 from twin.stack.detection.network_detector import NetworkDetector
 from twin.stack.detection.onnx_file import read_facts
+from twin.stack.detection.roi import Region
 from twin.stack.stack import Stack
 
 layout = load_layout()
@@ -69,6 +70,23 @@ def test_the_shipped_networks_are_what_their_card_says():
     assert chances.shape == (3, 6)
     np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-5)
     assert network.chances(np.zeros((0, 64, 64, 3), np.uint8)).shape == (0, 6)
+
+
+@pytest.mark.parametrize("score, looks", [(0.12, 0), (0.18, 1)])
+def test_a_box_gets_a_second_look_from_a_score_of_015(monkeypatch, score, looks):
+    network, seen = Network(), []
+
+    def chances(some):
+        seen.append(len(some))
+        return np.full((len(some), 6), 1 / 6)
+
+    maps = [np.full((320 // s, 416 // s, 10), -20.0) for s in STRIDES]
+    maps[1][10, 13] = [0, 0, 0, 0, np.log(score / (1 - score)), 20, 0, 0, 0, 0]
+    monkeypatch.setattr(network, "maps", lambda image: maps)
+    monkeypatch.setattr(network, "chances", chances)
+    whole = Region(0, 0, 640, 480, 0.65)
+    network.see(GOOD, whole, config.camera, layout.site.line.height)
+    assert seen == [looks]
 
 
 @pytest.mark.parametrize("name", ["detector.onnx", "second_look.onnx"])
