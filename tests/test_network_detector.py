@@ -120,32 +120,57 @@ def test_an_adapter_looks_different_turned_round():
     assert not fit.symmetric and fit.quality > 0.8
 
 
-BLOCK = [(x, y, z) for x in (-0.018, 0.018) for y in (-0.006, 0.006) for z in (0.0, 0.01)]
-HEAD = [(x, y, z) for x in (0.006, 0.018) for y in (-0.011, 0.011) for z in (0.0, 0.01)]
+MIDDLE = (0.5, 0.45)  # m in base
+SEEN, BRIGHT = (-0.018, 0.010), (-0.026, -0.018)  # m along the block
+
+
+def brick(x, y):
+    """A solid between these x and +-y, m."""
+    return np.array([(a, b, c) for a in x for b in (-y, y) for c in (0.0, 0.01)])
+
+
+def drawing(*solids):
+    """A part of no class, 36 mm long; the drawing does not say whether it is symmetric."""
+    return replace(config.parts["sma_f_n_m"], solids=solids, height=0.01, symmetric=False)
+
+
+def drawn(part, yaw):
+    """Where a part in the window's middle is seen, at the evidence's scale; corner and box."""
+    height = layout.site.line.height
+    u, v, w = P @ (*MIDDLE, height, 1)
+    corner = int(u / w) - 40, int(v / w) - 40
+    outline, mask = Outline.of(part), np.zeros((160, 160), np.uint8)
+    pose = np.array([*MIDDLE, yaw])
+    sides = draw(outline.points, outline.starts, pose, height, shifted(P, *corner, FACTOR), mask)
+    box = (sides + np.array([0, 0, 1, 1])) * FACTOR + np.array([*corner, *corner])
+    return mask > 0, corner, box
+
+
+BLOCK, HEAD = brick((-0.018, 0.018), 0.006), brick((0.006, 0.018), 0.011)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0])
 @pytest.mark.parametrize("solids, symmetric", [([BLOCK], True), ([BLOCK, HEAD], False)])
 def test_same_either_way_round_is_told(solids, symmetric, yaw):
-    """A plain block fits as well turned by half a turn, though its drawing does not say so."""
-    drawing = replace(
-        config.parts["sma_f_n_m"],
-        solids=tuple(np.array(s) for s in solids),
-        height=0.01,
-        symmetric=False,
-    )
-    height, pose = layout.site.line.height, np.array([0.5, 0.45, yaw])
-    u, v, w = P @ (0.5, 0.45, height, 1)
-    corner = int(u / w) - 40, int(v / w) - 40
-    outline = Outline.of(drawing)
-    mask = np.zeros((160, 160), np.uint8)
-    sides = draw(outline.points, outline.starts, pose, height, shifted(P, *corner, FACTOR), mask)
-    box = (sides + np.array([0, 0, 1, 1])) * FACTOR + np.array([*corner, *corner])
-    fit = PoseFitter(drawing, height).fit(np.where(mask, 1.0, -0.6), corner, FACTOR, box, P)
+    """A plain block fits as well turned by half a turn, one with a head at an end does not."""
+    part = drawing(*solids)
+    there, corner, box = drawn(part, yaw)
+    fitter = PoseFitter(part, layout.site.line.height)
+    fit = fitter.fit(np.where(there, 1.0, -0.6), corner, FACTOR, box, P)
     assert fit is not None and fit.quality > 0.95 and fit.symmetric == symmetric
-    np.testing.assert_allclose(fit.pose[:2], pose[:2], atol=3e-4)
-    off = wrap_angle((2 if symmetric else 1) * (fit.pose[2] - yaw))
-    assert abs(off) < np.radians(2)
+    np.testing.assert_allclose(fit.pose[:2], MIDDLE, atol=3e-4)
+    assert abs(wrap_angle((2 if symmetric else 1) * (fit.pose[2] - yaw))) < np.radians(2)
+
+
+def test_the_box_holds_a_part_whose_end_is_as_dark_as_the_belt():
+    """8 mm of an end are not seen; beyond the other end the belt is a little bright."""
+    part = drawing(BLOCK)
+    _, corner, box = drawn(part, 0.0)
+    seen, bright = (drawn(drawing(brick(x, 0.006)), 0.0)[0] for x in (SEEN, BRIGHT))
+    evidence = np.where(seen, 1.0, np.where(bright, -0.5, -0.6))
+    fit = PoseFitter(part, layout.site.line.height).fit(evidence, corner, FACTOR, box, P)
+    assert fit is not None
+    np.testing.assert_allclose(fit.pose[:2], MIDDLE, atol=1e-3)
 
 
 @pytest.mark.parametrize("box", [(-30, -30, -10, -10), (630, 470, 700, 520), (100, 100, 101, 101)])
